@@ -1,0 +1,1 @@
+"""Recover the human motion that really happened."""

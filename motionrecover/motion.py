@@ -1,0 +1,99 @@
+"""Motion: a recorded or recovered clip, with everything that gives its numbers a meaning."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from motionrecover.skeleton import Skeleton
+
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+"""Metres in one unit."""
+
+UP_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A clip: joint positions over time on a skeleton.
+
+    `positions` is (frame, joint, 3) in metres with y up, NaN where nothing was measured. `observed` (frame, joint) is
+    True where a joint was measured; left out, it is True where the position is finite. `confidence` (frame, joint)
+    in [0, 1] says how far a measurement is to be trusted, None where the source does not say. `fps` is frames a
+    second. `unit` (metres in one unit) and `up` (x, y or z) describe the file that the clip came from. `history` tells what
+    was read, assumed and done, in order.
+
+    Raises `ValueError` for misshapen or infinite positions, misshapen masks, and an unusable frame rate.
+    """
+
+    positions: np.ndarray
+    skeleton: Skeleton
+    fps: float
+    observed: np.ndarray = field(default=None)  # pyright: ignore[reportArgumentType]  filled in below
+    confidence: np.ndarray | None = None
+    unit: float = 1.0
+    up: str = "y"
+    history: tuple[str, ...] = ()
+
+    def __post_init__(self):
+        positions = np.asarray(self.positions)
+        if not np.issubdtype(positions.dtype, np.floating):
+            positions = positions.astype(np.float64)
+        joints = len(self.skeleton.names)
+        if positions.ndim != 3 or positions.shape[1:] != (joints, 3):
+            raise ValueError(
+                f"received positions of shape {positions.shape}: a skeleton of {joints} joints needs (frame, {joints}, 3)"
+            )
+        if len(positions) == 0:
+            raise ValueError("received a clip of 0 frames: a motion needs at least one")
+        if np.isinf(positions).any():
+            frame, joint, _ = np.argwhere(np.isinf(positions))[0]
+            raise ValueError(
+                f"received an infinite position at frame {frame}, joint {self.skeleton.names[joint]!r}: mark missing samples as NaN"
+            )
+        if not (np.isfinite(self.fps) and self.fps > 0):
+            raise ValueError(f"received a frame rate of {self.fps}: give frames a second, above 0")
+        if self.up not in UP_AXES:
+            raise ValueError(f"received up axis {self.up!r}: give one of {', '.join(UP_AXES)}")
+        finite = np.isfinite(positions).all(-1)
+        observed = finite if self.observed is None else np.asarray(self.observed, bool)
+        for name, mask in (("observed", observed), ("confidence", self.confidence)):
+            if mask is not None and np.shape(mask) != finite.shape:
+                raise ValueError(
+                    f"received {name} of shape {np.shape(mask)}: the clip has (frame, joint) = {finite.shape}"
+                )
+        object.__setattr__(self, "positions", positions)
+        object.__setattr__(self, "observed", observed & finite)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Joint names."""
+        return self.skeleton.names
+
+    @property
+    def seconds(self) -> float:
+        """Length of the clip."""
+        return len(self.positions) / self.fps
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def with_positions(self, positions: np.ndarray, note: str, **changes) -> Motion:
+        """The same clip with other positions (frame, joint, 3), and a line of history that says why."""
+        changes = {"observed": None, "confidence": None} | changes
+        return replace(self, positions=positions, history=(*self.history, note), **changes)
+
+    def select(self, names: Sequence[str]) -> Motion:
+        """The named joints only, each tied to its nearest kept ancestor. Raises `ValueError` for unknown names."""
+        skeleton = self.skeleton.select(names)
+        kept = [self.names.index(name) for name in names]
+        return replace(
+            self,
+            positions=self.positions[:, kept],
+            skeleton=skeleton,
+            observed=self.observed[:, kept],
+            confidence=None if self.confidence is None else self.confidence[:, kept],
+            history=(*self.history, f"kept {len(kept)} of {len(self.names)} joints"),
+        )

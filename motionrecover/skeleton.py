@@ -1,0 +1,236 @@
+"""Skeletons: named joints tied by bones of constant length, as a tree or as any graph."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+ZERO_LENGTH = 1e-6
+"""Bones shorter than this (metres) have no direction: their two joints are one joint to the solver."""
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """Joints and the bones between them.
+
+    `names` are the joints. `edges` are the bones as pairs (parent, child) of joint indices or names; in a general
+    graph (a marker cloud) the order inside a pair means nothing. `rest_offsets`, shape (joint, 3) in metres, hold
+    each joint's position relative to its parent in the rest pose, zero for roots; only a tree or forest has them.
+
+    Raises `ValueError` for repeated names, unknown joints, self-loops, repeated bones and misshapen offsets.
+    """
+
+    names: tuple[str, ...]
+    edges: tuple[tuple[int, int], ...]
+    rest_offsets: tuple[tuple[float, float, float], ...] | None = None
+
+    def __init__(
+        self,
+        names: Iterable[str],
+        edges: Iterable[Sequence[int | str]] = (),
+        rest_offsets: np.ndarray | Sequence[Sequence[float]] | None = None,
+    ):
+        names = tuple(str(name) for name in names)
+        if not names:
+            raise ValueError("received a skeleton without joints: name at least one")
+        if len(set(names)) != len(names):
+            twice = next(name for name in names if names.count(name) > 1)
+            raise ValueError(f"received joint name {twice!r} more than once: names must be distinct")
+        index = {name: i for i, name in enumerate(names)}
+        pairs = []
+        for edge in edges:
+            if len(edge) != 2:
+                raise ValueError(f"received bone {tuple(edge)!r}: a bone is a pair of joints")
+            pair = []
+            for joint in edge:
+                known = joint in index if isinstance(joint, str) else 0 <= joint < len(names)
+                if not known:
+                    raise ValueError(
+                        f"received bone {tuple(edge)!r}: {joint!r} is none of the {len(names)} joints"
+                    )
+                pair.append(index[joint] if isinstance(joint, str) else int(joint))
+            if pair[0] == pair[1]:
+                raise ValueError(f"received a bone from joint {names[pair[0]]!r} to itself: remove it")
+            pairs.append((pair[0], pair[1]))
+        if len({frozenset(pair) for pair in pairs}) != len(pairs):
+            raise ValueError("received the same bone more than once: list each bone once")
+        object.__setattr__(self, "names", names)
+        object.__setattr__(self, "edges", tuple(pairs))
+        object.__setattr__(self, "rest_offsets", None)
+        if rest_offsets is not None:
+            offsets = np.asarray(rest_offsets, float)
+            if offsets.shape != (len(names), 3) or not np.isfinite(offsets).all():
+                raise ValueError(
+                    f"received rest offsets of shape {offsets.shape} for {len(names)} joints: "
+                    f"give finite offsets of shape ({len(names)}, 3)"
+                )
+            self.parents  # noqa: B018  only a forest has offsets from parents: this raises for any other graph
+            object.__setattr__(self, "rest_offsets", tuple(map(tuple, offsets.tolist())))
+
+    @classmethod
+    def from_parents(
+        cls, names: Iterable[str], parents: Iterable[int], rest_offsets: np.ndarray | None = None
+    ) -> Skeleton:
+        """Skeleton from each joint's parent index; -1 marks a root."""
+        names, parents = tuple(names), [int(p) for p in parents]
+        if len(names) != len(parents):
+            raise ValueError(
+                f"received {len(names)} joint names and {len(parents)} parents: give one parent a joint"
+            )
+        return cls(names, [(p, j) for j, p in enumerate(parents) if p != -1], rest_offsets)
+
+    @classmethod
+    def from_file(cls, path: str | Path) -> Skeleton:
+        """Skeleton from a TOML file with `names` and either `parents` (indices or names, -1 or "" for a root) or `edges`.
+
+        Raises `ValueError` when the file is not such a file.
+        """
+        path = Path(path)
+        try:
+            table = tomllib.loads(path.read_text(encoding="utf-8"))
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise ValueError(f"{path} is not a TOML file: {error}") from error
+        if "names" not in table or ("parents" in table) == ("edges" in table):
+            raise ValueError(
+                f"{path} holds {sorted(table)}: a skeleton file has `names` and either `parents` or `edges`"
+            )
+        names = table["names"]
+        if "edges" in table:
+            return cls(names, table["edges"])
+        parents = [
+            -1 if p == "" else names.index(p) if isinstance(p, str) and p in names else p
+            for p in table["parents"]
+        ]
+        if any(isinstance(p, str) for p in parents):
+            unknown = next(p for p in parents if isinstance(p, str))
+            raise ValueError(f"{path} names the parent {unknown!r}, which is none of its joints")
+        return cls.from_parents(names, parents)
+
+    @classmethod
+    def standard(cls, name: str) -> Skeleton:
+        """One of the named standards: cmu31, cmu25, cmu21, kinect25, smpl24."""
+        if name not in STANDARDS:
+            raise ValueError(f"received skeleton {name!r}: the standards are {', '.join(STANDARDS)}")
+        return cls.from_parents(*_parse(STANDARDS[name]))
+
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """Each joint's parent, -1 for a root. Raises `ValueError` where the bones give a joint two parents or a cycle."""
+        parents = [-1] * len(self.names)
+        for parent, child in self.edges:
+            if parents[child] != -1:
+                raise ValueError(
+                    f"joint {self.names[child]!r} has the parents {self.names[parents[child]]!r} and "
+                    f"{self.names[parent]!r}: the skeleton is a general graph, not a tree of (parent, child) bones"
+                )
+            parents[child] = parent
+        for joint in range(len(parents)):
+            seen, at = {joint}, parents[joint]
+            while at != -1:
+                if at in seen:
+                    raise ValueError(
+                        f"the bones above joint {self.names[joint]!r} form a cycle: a tree has none"
+                    )
+                seen.add(at)
+                at = parents[at]
+        return tuple(parents)
+
+    @property
+    def components(self) -> list[list[int]]:
+        """Groups of joints that bones connect, each sorted, in order of their first joint."""
+        group = list(range(len(self.names)))
+        for i, j in self.edges:
+            a, b = group[i], group[j]
+            group = [a if g == b else g for g in group]
+        found: dict[int, list[int]] = {}
+        for joint, g in enumerate(group):
+            found.setdefault(g, []).append(joint)
+        return list(found.values())
+
+    @property
+    def is_forest(self) -> bool:
+        """Whether the bones close no cycle, so that leaf-to-root elimination applies."""
+        return len(self.edges) == len(self.names) - len(self.components)
+
+    @property
+    def bone_names(self) -> tuple[str, ...]:
+        """`parent-child` for each bone."""
+        return tuple(f"{self.names[i]}-{self.names[j]}" for i, j in self.edges)
+
+    @property
+    def rest_lengths(self) -> np.ndarray | None:
+        """Bone lengths (bone,) of the rest pose in metres, or None where no rest pose is known."""
+        if self.rest_offsets is None:
+            return None
+        return np.linalg.norm(
+            np.asarray(self.rest_offsets)[[child for _, child in self.edges]], axis=-1
+        ).reshape(-1)
+
+    def bone_lengths_of(self, positions: np.ndarray) -> np.ndarray:
+        """Lengths (frame, bone) of the bones in positions (frame, joint, 3), in the unit of the positions."""
+        i, j = np.asarray(self.edges, int).reshape(-1, 2).T
+        return np.linalg.norm(positions[:, i] - positions[:, j], axis=-1)
+
+    def select(self, names: Sequence[str]) -> Skeleton:
+        """The named joints in the given order; each is tied to its nearest kept ancestor.
+
+        Rest offsets are kept where no joint between two kept ones is left out: a bone across a moving joint is not
+        rigid. Raises `ValueError` for unknown names and for general graphs, which have no ancestors.
+        """
+        for name in names:
+            if name not in self.names:
+                raise ValueError(f"received joint {name!r}: the skeleton has {', '.join(self.names)}")
+        kept, parents = [self.names.index(name) for name in names], self.parents
+        ancestors = []
+        for joint in kept:
+            at = parents[joint]
+            while at != -1 and at not in kept:
+                at = parents[at]
+            ancestors.append(at)
+        rigid = self.rest_offsets is not None and all(
+            a == parents[j] for j, a in zip(kept, ancestors, strict=True)
+        )
+        offsets = np.asarray(self.rest_offsets)[kept] if rigid else None
+        return Skeleton.from_parents(names, [-1 if a == -1 else kept.index(a) for a in ancestors], offsets)
+
+
+def _parse(table: str) -> tuple[list[str], list[int]]:
+    """Names and parents from tokens `joint<parent`; without `<parent`, the parent is the joint before."""
+    tokens = [token.partition("<") for token in table.split()]
+    names = [name for name, _, _ in tokens]
+    return names, [names.index(parent) if parent else j - 1 for j, (_, _, parent) in enumerate(tokens)]
+
+
+_CMU_LEGS_AND_TRUNK = """
+    root lhipjoint lfemur ltibia lfoot ltoes rhipjoint<root rfemur rtibia rfoot rtoes
+    lowerback<root upperback thorax lowerneck upperneck head """
+
+STANDARDS = {
+    # CMU motion capture database, ASF/AMC: a joint is named after the bone that ends in it.
+    "cmu31": _CMU_LEGS_AND_TRUNK
+    + """lclavicle<thorax lhumerus lradius lwrist lhand lfingers lthumb<lwrist
+    rclavicle<thorax rhumerus rradius rwrist rhand rfingers rthumb<rwrist""",
+    # cmu31 without the six hand and finger joints (Yang et al. 2020, Sec. IV-B).
+    "cmu25": _CMU_LEGS_AND_TRUNK
+    + "lclavicle<thorax lhumerus lradius lwrist rclavicle<thorax rhumerus rradius rwrist",
+    # The 21 joints of cmu31 that the learned systems keep (Li et al. 2020, Fig. 3; Choi et al. 2024, Fig. 2).
+    "cmu21": """root lhipjoint lfemur ltibia ltoes rhipjoint<root rfemur rtibia rtoes
+    lowerback<root upperback thorax upperneck
+    lclavicle<thorax lhumerus lwrist lhand rclavicle<thorax rhumerus rwrist rhand""",
+    # Microsoft Kinect for Windows SDK 2.0, enumeration JointType.
+    "kinect25": """SpineBase SpineMid Neck<SpineShoulder Head
+    ShoulderLeft<SpineShoulder ElbowLeft WristLeft HandLeft ShoulderRight<SpineShoulder ElbowRight WristRight HandRight
+    HipLeft<SpineBase KneeLeft AnkleLeft FootLeft HipRight<SpineBase KneeRight AnkleRight FootRight
+    SpineShoulder<SpineMid HandTipLeft<HandLeft ThumbLeft<HandLeft HandTipRight<HandRight ThumbRight<HandRight""",
+    # SMPL body model (Loper et al. 2015), in the order of its kinematic tree.
+    "smpl24": """pelvis left_hip right_hip<pelvis spine1<pelvis left_knee<left_hip right_knee<right_hip spine2<spine1
+    left_ankle<left_knee right_ankle<right_knee spine3<spine2 left_foot<left_ankle right_foot<right_ankle
+    neck<spine3 left_collar<spine3 right_collar<spine3 head<neck left_shoulder<left_collar
+    right_shoulder<right_collar left_elbow<left_shoulder right_elbow<right_shoulder left_wrist<left_elbow
+    right_wrist<right_elbow left_hand<left_wrist right_hand<right_wrist""",
+}
+"""The named standards as tokens `joint<parent`; see `Skeleton.standard`."""
