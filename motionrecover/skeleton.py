@@ -142,19 +142,7 @@ class Skeleton:
     @property
     def components(self) -> list[list[int]]:
         """Groups of joints that bones connect, each sorted, in order of their first joint."""
-        group = list(range(len(self.names)))
-        for i, j in self.edges:
-            a, b = group[i], group[j]
-            group = [a if g == b else g for g in group]
-        found: dict[int, list[int]] = {}
-        for joint, g in enumerate(group):
-            found.setdefault(g, []).append(joint)
-        return list(found.values())
-
-    @property
-    def is_forest(self) -> bool:
-        """Whether the bones close no cycle, so that leaf-to-root elimination applies."""
-        return len(self.edges) == len(self.names) - len(self.components)
+        return components(self.edges, len(self.names))
 
     @property
     def bone_names(self) -> tuple[str, ...]:
@@ -196,6 +184,23 @@ class Skeleton:
         )
         offsets = np.asarray(self.rest_offsets)[kept] if rigid else None
         return Skeleton.from_parents(names, [-1 if a == -1 else kept.index(a) for a in ancestors], offsets)
+
+
+def components(edges: Sequence[tuple[int, int]], joints: int) -> list[list[int]]:
+    """Groups of the `joints` that the edges connect, each sorted, in order of their first joint."""
+    group = list(range(joints))
+    for i, j in edges:
+        a, b = group[i], group[j]
+        group = [a if g == b else g for g in group]
+    found: dict[int, list[int]] = {}
+    for joint, g in enumerate(group):
+        found.setdefault(g, []).append(joint)
+    return list(found.values())
+
+
+def is_forest(edges: Sequence[tuple[int, int]], joints: int) -> bool:
+    """Whether the edges close no cycle, so that leaf-to-root elimination applies."""
+    return len(edges) == joints - len(components(edges, joints))
 
 
 def _parse(table: str) -> tuple[list[str], list[int]]:

@@ -1,1 +1,142 @@
-"""Motion files: one module a format, behind one registry."""
+"""Reading and writing motion files: one registry, one file a format."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from motionrecover.io import asf, bvh, csv, npz
+from motionrecover.io.atomic import write_beside
+from motionrecover.io.border import Asked, frame_rate, metres_in, up_axis
+from motionrecover.io.errors import MotionFormatError, MotionFormatWarning
+from motionrecover.motion import Motion
+from motionrecover.skeleton import Skeleton
+
+__all__ = ["Format", "MotionFormatError", "MotionFormatWarning", "formats", "load", "save", "write_beside"]
+
+
+@dataclass(frozen=True)
+class Format:
+    """One file format; `load` and `save` also take one from outside, as their `format`."""
+
+    name: str
+    """What `format=` calls it."""
+    suffixes: tuple[str, ...]
+    """Endings of file names that choose it, in lower case with the dot."""
+    description: str
+    """One line for people."""
+    read: Callable[[Path, Asked], Motion] | None = None
+    """Reads a file; `Asked` goes before what the file says. None for formats that are only written."""
+    write: Callable[[Motion, Path], None] | None = None
+    """Writes a file that does not matter until it is whole. None for formats that are only read."""
+
+    @property
+    def reads(self) -> bool:
+        """Whether `load` takes it."""
+        return self.read is not None
+
+    @property
+    def writes(self) -> bool:
+        """Whether `save` takes it."""
+        return self.write is not None
+
+
+_FORMATS = (
+    Format("bvh", (".bvh",), "Biovision hierarchy: offsets and rotations", read=bvh.read),
+    Format("amc", (".amc", ".asf"), "Acclaim motion on the .asf skeleton beside it", read=asf.read),
+    Format("csv", (".csv",), "Table, a row a frame; both CSV layouts are read", csv.read, csv.write_wide),
+    Format("csv-long", (), "Table, a row a joint and frame; by name only", csv.read, csv.write_long),
+    Format("npz", (".npz",), "NumPy arrays, exact and fast", npz.read, npz.write),
+)
+
+
+def formats() -> tuple[Format, ...]:
+    """The known formats."""
+    return _FORMATS
+
+
+def load(
+    path: str | Path,
+    *,
+    format: str | Format | None = None,
+    skeleton: Skeleton | str | Path | None = None,
+    unit: str | float | None = None,
+    up: str | None = None,
+    fps: float | None = None,
+    skip_first: bool = False,
+) -> Motion:
+    """Motion of a file, in metres with y up whatever the file has.
+
+    `format` is chosen by the ending of the name unless given. `skeleton` (a skeleton, the name of a standard, or the
+    path of a TOML file; of an ASF file for AMC), `unit` (a name of `motion.UNITS` or metres in one unit), `up`
+    (x, y or z) and `fps` go before what the file says; one that neither states is an error, or an assumption that
+    is said aloud (`MotionFormatWarning`) and kept in `Motion.history`. `skip_first` leaves frame 0 out, which in
+    some BVH files is an added T-pose.
+
+    Raises `MotionFormatError` for everything wrong with the file, `ValueError` for unusable arguments.
+    """
+    path = Path(path)
+    asked = Asked(
+        skeleton,
+        None if unit is None else metres_in(unit),
+        None if up is None else up_axis(up),
+        None if fps is None else frame_rate(fps),
+    )
+    chosen = _choose(path, format)
+    if chosen.read is None:
+        raise MotionFormatError(f"{path} is {chosen.name}, which is written but not read: {_readable()}")
+    try:
+        motion = chosen.read(path, asked)
+    except MotionFormatError:
+        raise
+    except ValueError as error:
+        raise MotionFormatError(f"{path}: {error}") from error
+    if not skip_first:
+        return motion
+    if len(motion) == 1:
+        raise MotionFormatError(f"{path} holds only the frame to be skipped: leave skip_first (--skip-first) out")
+    return replace(
+        motion,
+        positions=motion.positions[1:],
+        observed=motion.observed[1:],
+        confidence=None if motion.confidence is None else motion.confidence[1:],
+        history=(*motion.history, "left frame 0 out"),
+    )
+
+
+def save(motion: Motion, path: str | Path, *, overwrite: bool = False, format: str | Format | None = None) -> Path:
+    """Write a motion, in metres with y up, and return its path; the file appears whole or not at all.
+
+    `format` is chosen by the ending of the name unless given.
+
+    Raises `FileExistsError` when the file exists and `overwrite` is false, other `OSError` when it cannot be written,
+    `MotionFormatError` for a format that is not written.
+    """
+    path = Path(path)
+    chosen = _choose(path, format)
+    if chosen.write is None:
+        writable = ", ".join(known.name for known in _FORMATS if known.writes)
+        raise MotionFormatError(f"{path} would be {chosen.name}, which is read but not written: write {writable}")
+    with write_beside(path, overwrite=overwrite) as temporary:
+        chosen.write(motion, temporary)
+    return path
+
+
+def _choose(path: Path, format: str | Format | None) -> Format:
+    """The format that is given, or that the ending of the name says."""
+    if isinstance(format, Format):
+        return format
+    names = ", ".join(known.name for known in _FORMATS)
+    for known in _FORMATS:
+        if known.name == format or (format is None and path.suffix.lower() in known.suffixes):
+            return known
+    if format is not None:
+        raise ValueError(f"received format {format!r}: give one of {names}")
+    raise MotionFormatError(
+        f"{path} ends in {path.suffix or 'nothing'!r}, which tells no format: give format=, {names}"
+    )
+
+
+def _readable() -> str:
+    return "read " + ", ".join(known.name for known in _FORMATS if known.reads)

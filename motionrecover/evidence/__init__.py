@@ -1,0 +1,1 @@
+"""What the data itself says before the solver runs."""

@@ -1,0 +1,180 @@
+"""The picture that shows what a recovery did."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from motionrecover.motion import Motion
+
+# Okabe & Ito's colours, which colour-blind readers tell apart.
+_COLOURS = {"truth": "#222222", "corrupted": "#E69F00", "recovered": "#0072B2"}
+_PANELS = 3
+_POSES = 5
+_SPACING = 0.9
+"""Metres between two stick figures."""
+
+
+def recovery_figure(truth: Motion | None, corrupted: Motion, recovered: Motion, path: str | Path) -> None:
+    """Writes a picture of a recovery to `path`; the suffix names the format (png, pdf, svg).
+
+    From top to bottom: stick figures where the corruption is worst, the height of the most corrupted joints over time,
+    the lengths of the most corrupted bones over time, and the mean error of each joint before and after. Grey bands
+    mark where a joint was missing. Without `truth`, what needs it is left out, and `recovered` tells the worst places.
+
+    Raises `ValueError` for clips of different frames or joints, `ImportError` without matplotlib.
+    """
+    try:
+        from matplotlib.artist import Artist
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+        from matplotlib.lines import Line2D
+        from matplotlib.patches import Patch
+    except ImportError as error:
+        raise ImportError("a figure needs matplotlib: pip install motionrecover[figures]") from error
+    clips = {"truth": truth, "corrupted": corrupted, "recovered": recovered}
+    clips = {name: clip for name, clip in clips.items() if clip is not None}
+    for name, clip in clips.items():
+        if (len(clip), clip.names) != (len(recovered), recovered.names):
+            raise ValueError(
+                f"received {name} of {len(clip)} frames and {len(clip.names)} joints, and recovered of "
+                f"{len(recovered)} and {len(recovered.names)}: give the same frames and joints"
+            )
+    reference = recovered if truth is None else truth
+    rows = {"poses": 6.0 / len(clips), "heights": 2.3}
+    if recovered.skeleton.edges:
+        rows["lengths"] = 2.2
+    if truth is not None:
+        rows["errors"] = 2.4
+    figure = Figure(figsize=(11.5, sum(rows.values()) + 0.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    parts = figure.subfigures(len(rows), 1, height_ratios=list(rows.values()), squeeze=False)[:, 0]
+    for row, part in zip(rows, parts, strict=True):
+        if row == "poses":
+            _draw_poses(part.subplots(1, len(clips)), clips, reference)
+        elif row == "heights":
+            _draw_heights(part.subplots(1, _PANELS), clips, reference)
+        elif row == "lengths":
+            _draw_lengths(part.subplots(1, _PANELS), clips)
+        else:
+            _draw_errors(part.subplots(), reference, corrupted, recovered)
+    handles: list[Artist] = [Line2D([], [], color=_COLOURS[name], linewidth=3, label=name) for name in clips]
+    if not corrupted.observed.all():
+        handles.append(Patch(color="0.9", label="missing"))
+    figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=13)
+    figure.savefig(path, dpi=140)
+
+
+def _damage(corrupted: Motion, reference: Motion) -> np.ndarray:
+    """How badly each sample (frame, joint) is corrupted, in metres: its error, at most 0.25; 0.25 where missing."""
+    error = np.linalg.norm(corrupted.positions - reference.positions, axis=-1)
+    return np.where(corrupted.observed, np.minimum(np.nan_to_num(error), 0.25), 0.25)
+
+
+def _draw_poses(axes, clips: dict[str, Motion], reference: Motion) -> None:
+    """Stick figures at the worst frame of each stretch of time, each seen from where its limbs spread widest."""
+    damage = _damage(clips["corrupted"], reference).mean(1)
+    stretches = np.array_split(np.arange(len(damage)), min(_POSES, len(damage)))
+    frames = [int(stretch[damage[stretch].argmax()]) for stretch in stretches]
+    heights = reference.positions[frames][..., 1]
+    for name, axis in zip(clips, axes, strict=True):
+        for place, frame in enumerate(frames):
+            pose = reference.positions[frame]
+            middle = np.nanmean(pose, axis=0) if np.isfinite(pose).any() else np.zeros(3)
+            flat = np.nan_to_num((pose - middle)[:, [0, 2]])
+            across = np.linalg.svd(flat, full_matrices=False)[2][0]
+            # One sign for all poses: the singular vector's is arbitrary.
+            across = across * (1 if across.sum() >= 0 else -1)
+            points = clips[name].positions[frame]
+            x = (points - middle)[:, [0, 2]] @ across + _SPACING * place
+            for i, j in clips[name].skeleton.edges:
+                axis.plot(x[[i, j]], points[[i, j], 1], color=_COLOURS[name], linewidth=2, solid_capstyle="round")
+            axis.plot(x, points[:, 1], ".", color=_COLOURS[name], markersize=4)
+            axis.annotate(
+                f"{frame / reference.fps:.1f} s", (_SPACING * place, 0), (0, -12), xycoords=("data", "axes fraction"),
+                textcoords="offset points", ha="center", color="0.4", fontsize=10,
+            )  # fmt: skip
+        axis.set_title(name, color=_COLOURS[name], fontweight="bold")
+        axis.set_aspect("equal")
+        axis.axis("off")
+        axis.set_xlim(-0.65, _SPACING * (len(frames) - 1) + 0.65)
+        axis.set_ylim(np.nanmin(heights) - 0.15, np.nanmax(heights) + 0.15)
+
+
+def _draw_heights(axes, clips: dict[str, Motion], reference: Motion) -> None:
+    corrupted, names = clips["corrupted"], clips["corrupted"].names
+    worst = np.argsort(-_damage(corrupted, reference).mean(0), kind="stable")[:_PANELS]
+    for axis, joint in zip(axes, worst, strict=False):
+        _band(axis, ~corrupted.observed[:, joint], corrupted.fps)
+        _curves(axis, {name: clip.positions[:, joint, 1] for name, clip in clips.items()}, corrupted.fps)
+        axis.set_title(f"{names[joint]}: height")
+    axes[0].set_ylabel("metres")
+    _hide(axes[len(worst) :])
+
+
+def _draw_lengths(axes, clips: dict[str, Motion]) -> None:
+    lengths = {name: clip.skeleton.bone_lengths_of(clip.positions) for name, clip in clips.items()}
+    skeleton = clips["recovered"].skeleton
+    spread = np.nan_to_num(np.abs(lengths["corrupted"] - lengths["recovered"])).mean(0)
+    worst = np.argsort(-spread, kind="stable")[:_PANELS]
+    for axis, bone in zip(axes, worst, strict=False):
+        fps = clips["corrupted"].fps
+        _band(axis, ~np.all(clips["corrupted"].observed[:, skeleton.edges[bone]], axis=1), fps)
+        _curves(axis, {name: length[:, bone] for name, length in lengths.items()}, fps)
+        axis.set_title(f"{skeleton.bone_names[bone]}: bone length")
+        axis.set_xlabel("seconds")
+    axes[0].set_ylabel("metres")
+    _hide(axes[len(worst) :])
+
+
+def _draw_errors(axis, truth: Motion, corrupted: Motion, recovered: Motion) -> None:
+    names = truth.names
+    means = []
+    for name, positions, shift in (
+        ("corrupted", _bridged(corrupted), -0.2),
+        ("recovered", recovered.positions, 0.2),
+    ):
+        errors = 1000 * np.linalg.norm(positions - truth.positions, axis=-1)
+        means.append(np.nanmean(errors))
+        axis.bar(np.arange(len(names)) + shift, errors.mean(0), 0.4, color=_COLOURS[name])
+        axis.axhline(means[-1], color=_COLOURS[name], linewidth=1.2, linestyle="--")
+    before = "corrupted" if corrupted.observed.all() else "corrupted (straight lines across the gaps)"
+    axis.set_title(f"mean error of each joint; over all {means[0]:.1f} mm {before}, {means[1]:.1f} mm recovered")
+    axis.set_xticks(range(len(names)), names, rotation=40, ha="right", rotation_mode="anchor")
+    axis.set_xlim(-0.7, len(names) - 0.3)
+    axis.set_ylabel("millimetres")
+    axis.spines[["top", "right"]].set_visible(False)
+
+
+def _bridged(clip: Motion) -> np.ndarray:
+    """Positions with straight lines across the gaps; a joint that was never measured stays NaN."""
+    positions, frames = clip.positions.copy(), np.arange(len(clip))
+    for joint, seen in enumerate(clip.observed.T):
+        for axis in range(3) if seen.any() else ():
+            positions[:, joint, axis] = np.interp(frames, frames[seen], clip.positions[seen, joint, axis])
+    return positions
+
+
+def _curves(axis, series: dict[str, np.ndarray], fps: float) -> None:
+    """One curve a clip; measured samples are dots, so that lone ones between gaps stay visible."""
+    looks = {
+        "corrupted": {"linestyle": "", "marker": ".", "markersize": 3, "zorder": 1},
+        "truth": {"linewidth": 3, "alpha": 0.55, "zorder": 2},
+        "recovered": {"linewidth": 1.5, "zorder": 3},
+    }
+    for name, values in series.items():
+        axis.plot(np.arange(len(values)) / fps, values, color=_COLOURS[name], **looks[name])
+    axis.margins(x=0)
+    axis.spines[["top", "right"]].set_visible(False)
+
+
+def _band(axis, missing: np.ndarray, fps: float) -> None:
+    edges = np.flatnonzero(np.diff(np.r_[0, missing.astype(int), 0]))
+    for start, end in edges.reshape(-1, 2):
+        axis.axvspan((start - 0.5) / fps, (end - 0.5) / fps, color="0.9", linewidth=0, zorder=0)
+
+
+def _hide(axes) -> None:
+    for axis in axes:
+        axis.axis("off")

@@ -1,0 +1,207 @@
+"""The border of the core: what a caller hands over, checked, completed and made ready for the solver.
+
+Everything a caller can get wrong is refused here in one sentence. What comes out has no NaN, no joint that coincides
+with its neighbour, and an origin in the middle of the data.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from motionrecover.evidence.bone_lengths import estimate_bone_lengths
+from motionrecover.skeleton import ZERO_LENGTH, Skeleton, components
+from motionrecover.solver import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Intake:
+    """A checked clip, and how the solver's joints map back to the caller's."""
+
+    data: np.ndarray
+    """D (frame, joint, 3), NaN where missing."""
+    weights: np.ndarray
+    """Trust (frame, joint) in [0, 1]; 0 where missing."""
+    bone_lengths: np.ndarray
+    """Of all the caller's bones; 0 for a merged one."""
+    merged: np.ndarray
+    """D of the solver's joints (frame, solver joint, 3), complete."""
+    merged_weights: np.ndarray
+    groups: np.ndarray
+    """Solver joint of each of the caller's joints."""
+    edges: tuple[tuple[int, int], ...]
+    """Bones between the solver's joints."""
+    edge_lengths: np.ndarray
+    origin: np.ndarray
+
+    def problem(self, dtype: np.dtype, stored: int) -> Problem:
+        """The solver's problem, padded to `stored` frames."""
+        frames = len(self.merged)
+        pad = stored - frames
+        return Problem(
+            positions=jnp.asarray(np.pad((self.merged - self.origin).transpose(2, 1, 0), ((0, 0), (0, 0), (0, pad))), dtype),
+            weights=jnp.asarray(np.pad(self.merged_weights.T, ((0, 0), (0, pad))), dtype),
+            bone_lengths=jnp.asarray(self.edge_lengths, dtype),
+            frames=jnp.asarray(frames, jnp.int32),
+            edges=self.edges,
+        )
+
+    def restore(self, positions: Any) -> np.ndarray:
+        """(3, solver joint, stored frame) of the solver as (frame, joint, 3) of the caller, without origin."""
+        return np.asarray(positions)[:, self.groups, : len(self.merged)].transpose(2, 1, 0)
+
+
+def positions_from(matrix: np.ndarray) -> np.ndarray:
+    """(frame, joint, 3) from the papers' motion matrix (3 frames, joints): rows x, y, z of frame 1, then of frame 2, ..."""
+    return matrix.reshape(-1, 3, matrix.shape[1]).transpose(0, 2, 1)
+
+
+def matrix_from(positions: np.ndarray) -> np.ndarray:
+    """The papers' motion matrix (3 frames, joints), Eq. 1 of Yang et al. 2020, from (frame, joint, 3)."""
+    return positions.transpose(0, 2, 1).reshape(-1, positions.shape[1])
+
+
+def take_in(
+    data: Any,
+    skeleton: Skeleton,
+    observed: Any = None,
+    confidence: Any = None,
+    bone_lengths: Any = None,
+    needs_bones: bool = True,
+    centre: bool = True,
+) -> Intake:
+    """Check the arguments of `recover` and prepare them. Raises `ValueError` for anything that cannot be used."""
+    data = _positions(data, skeleton)
+    shape, names = data.shape[:2], skeleton.names
+    seen = np.isfinite(data).all(-1) & _mask(observed, "observed", shape, bool)
+    weights = np.where(seen, _mask(confidence, "confidence", shape, np.float64), 0.0)
+    data = np.where(seen[..., None], data, np.nan)
+    if seen.any() and not seen.any(0).all():
+        missing = [names[joint] for joint in np.flatnonzero(~seen.any(0))]
+        raise ValueError(
+            f"joint {', '.join(missing)} is never observed in {shape[0]} frames: leave it out with `select`, "
+            "nothing in the clip says where it was"
+        )
+    if needs_bones:
+        _connected(skeleton)
+
+    lengths = _lengths(bone_lengths, skeleton, data)
+    zero = lengths < ZERO_LENGTH
+    if len(lengths) and zero.all():
+        raise ValueError("all joints coincide in every frame: give positions of a body that has an extent")
+    parts = components([edge for edge, z in zip(skeleton.edges, zero, strict=True) if z], len(names))
+    groups = np.empty(len(names), int)
+    for group, members in enumerate(parts):
+        groups[members] = group
+    kept = {}
+    for (i, j), length, z in zip(skeleton.edges, lengths, zero, strict=True):
+        if not z:
+            kept.setdefault((min(groups[i], groups[j]), max(groups[i], groups[j])), length)
+    merged = np.stack([_median(data[:, members]) for members in parts], 1)
+    merged_weights = np.stack([weights[:, members].max(1) for members in parts], 1)
+    origin = np.nanmedian(data.reshape(-1, 3), 0) if centre and seen.any() else np.zeros(3)
+    return Intake(
+        data=data,
+        weights=weights,
+        bone_lengths=np.where(zero, 0.0, lengths),
+        merged=fill(merged),
+        merged_weights=merged_weights,
+        groups=groups,
+        edges=tuple((int(i), int(j)) for i, j in kept),
+        edge_lengths=np.array(list(kept.values()), np.float64),
+        origin=origin,
+    )
+
+
+def fill(positions: np.ndarray) -> np.ndarray:
+    """Missing samples of (frame, joint, 3) by linear interpolation in time, the ends held; 0 for a joint never seen."""
+    frames, out = np.arange(len(positions)), positions.copy()
+    for joint in range(positions.shape[1]):
+        seen = np.isfinite(positions[:, joint, 0])
+        for axis in range(3):
+            values = positions[seen, joint, axis]
+            out[~seen, joint, axis] = np.interp(frames[~seen], frames[seen], values) if seen.any() else 0.0
+    return out
+
+
+def _positions(data, skeleton):
+    """`data` as (frame, joint, 3) in float64 with NaN for missing."""
+    data, joints = np.asarray(data), len(skeleton.names)
+    if data.dtype == object or not (np.issubdtype(data.dtype, np.floating) or np.issubdtype(data.dtype, np.integer)):
+        raise ValueError(f"received data of type {data.dtype}: give real numbers")
+    if data.ndim == 2 and data.shape[1] == joints and len(data) % 3 == 0:
+        data = positions_from(data)
+    if data.ndim != 3 or data.shape[1:] != (joints, 3):
+        raise ValueError(
+            f"received data of shape {data.shape}: a skeleton of {joints} joints needs "
+            f"(frames, {joints}, 3) or the motion matrix (3 frames, {joints})"
+        )
+    if len(data) == 0:
+        raise ValueError("received a clip of 0 frames: recovery needs at least one")
+    if np.isinf(data).any():
+        frame, joint, _ = np.argwhere(np.isinf(data))[0]
+        raise ValueError(
+            f"received an infinite position at frame {frame}, joint {skeleton.names[joint]!r}: mark missing samples as NaN"
+        )
+    return data.astype(np.float64)
+
+
+def _mask(mask, name, shape, dtype):
+    """An (frame, joint) argument, ones where it is left out."""
+    if mask is None:
+        return np.ones(shape, dtype)
+    mask = np.asarray(mask)
+    if mask.shape != shape:
+        raise ValueError(f"received {name} of shape {mask.shape}: the clip has (frame, joint) = {shape}")
+    if dtype is not bool and not ((mask >= 0) & (mask <= 1)).all():
+        worst = mask[~((mask >= 0) & (mask <= 1))][0]
+        raise ValueError(f"received a {name} of {worst}: give values from 0 (ignore) to 1 (trust)")
+    return mask.astype(dtype)
+
+
+def _connected(skeleton):
+    """Refuse a skeleton whose bones cannot hold it together."""
+    if not skeleton.edges:
+        raise ValueError(
+            f"received a skeleton of {len(skeleton.names)} joints without bones: "
+            "add bones, or use the preset lowrank_wang2016, which needs none"
+        )
+    parts = skeleton.components
+    if len(parts) > 1:
+        raise ValueError(
+            f"received a skeleton in {len(parts)} parts: no bone connects {skeleton.names[parts[1][0]]!r} to "
+            f"{skeleton.names[parts[0][0]]!r}, add one or recover the parts one by one"
+        )
+
+
+def _lengths(bone_lengths, skeleton, data):
+    """Lengths (bone,) as given, or estimated; zero-length bones of the rest pose stay zero."""
+    bones, names = len(skeleton.edges), skeleton.bone_names
+    rest = skeleton.rest_lengths
+    point = np.zeros(bones, bool) if rest is None else rest < ZERO_LENGTH
+    if bone_lengths is None:
+        lengths = estimate_bone_lengths(skeleton.bone_lengths_of(data))
+        # A bone whose ends are never seen together is measured between interpolated ends.
+        lengths = np.where(np.isnan(lengths), estimate_bone_lengths(skeleton.bone_lengths_of(fill(data))), lengths)
+        return np.where(point, 0.0, lengths)
+    lengths = np.asarray(bone_lengths, np.float64)
+    if lengths.shape != (bones,):
+        raise ValueError(f"received bone_lengths of shape {lengths.shape}: the skeleton has {bones} bones")
+    bad = ~(np.isfinite(lengths) & (lengths > 0)) & ~(point & (lengths == 0))
+    if bad.any():
+        bone = int(np.argmax(bad))
+        raise ValueError(f"received a length of {lengths[bone]} for bone {names[bone]}: lengths are positive, in metres")
+    return lengths
+
+
+def _median(positions):
+    """Median over coinciding joints (frame, member, 3) of what is observed, NaN where nothing is."""
+    if positions.shape[1] == 1:
+        return positions[:, 0]
+    out = np.full((len(positions), 3), np.nan)
+    seen = np.isfinite(positions[..., 0]).any(1)
+    out[seen] = np.nanmedian(positions[seen], 1)
+    return out

@@ -1,0 +1,196 @@
+"""The border between files and `Motion`: what the caller asked for, text in, metres and y up out."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from motionrecover.io.errors import MotionFormatError, MotionFormatWarning
+from motionrecover.motion import UNITS, UP_AXES, Motion
+from motionrecover.skeleton import STANDARDS, Skeleton
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the caller says about a file; it goes before what the file says, and None leaves it to the file."""
+
+    skeleton: Skeleton | str | Path | None = None
+    """A skeleton, the name of a standard, or the path of a skeleton file (TOML; ASF for AMC)."""
+    unit: float | None = None
+    """Metres in one unit of the file."""
+    up: str | None = None
+    """Axis of the file that points up: x, y or z."""
+    fps: float | None = None
+    """Frames a second."""
+
+
+def metres_in(unit: str | float) -> float:
+    """Metres in one `unit`: a name of `UNITS` or a positive number, also as text. Raises `ValueError` for others."""
+    if isinstance(unit, str) and unit.strip() in UNITS:
+        return UNITS[unit.strip()]
+    try:
+        metres = float(unit)
+    except (TypeError, ValueError):
+        metres = math.nan
+    if not (math.isfinite(metres) and metres > 0):
+        raise ValueError(f"received unit {unit!r}: give {', '.join(UNITS)} or the metres in one unit, above 0")
+    return metres
+
+
+def up_axis(up: str) -> str:
+    """`up` as x, y or z. Raises `ValueError` for anything else."""
+    if str(up).strip().lower() not in UP_AXES:
+        raise ValueError(f"received up axis {up!r}: give one of {', '.join(UP_AXES)}")
+    return str(up).strip().lower()
+
+
+def frame_rate(fps: str | float) -> float:
+    """`fps` as a positive number. Raises `ValueError` for anything else."""
+    rate = finite(fps)
+    if rate is None or rate <= 0:
+        raise ValueError(f"received a frame rate of {fps!r}: give frames a second, above 0")
+    return rate
+
+
+def finite(text: str | float) -> float | None:
+    """The number that `text` writes, None where it writes none or an infinite one."""
+    try:
+        number = float(text)
+    except (TypeError, ValueError):
+        return None
+    # float() reads the underscores of Python source; no motion file has them.
+    return number if math.isfinite(number) and "_" not in str(text) else None
+
+
+def shown(text: str) -> str:
+    """`text` quoted and short enough for a message."""
+    return repr(text if len(text) <= 40 else text[:37] + "...")
+
+
+def counted(number: int, noun: str) -> str:
+    """`1 frame`, `2 frames`: for messages."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def assume(sentence: str) -> str:
+    """Say aloud what was assumed, on behalf of the reader that calls this; returned for the history."""
+    # This function, the reader and `load` lie between the warning and the line that asked for the file.
+    warnings.warn(sentence, MotionFormatWarning, stacklevel=4)
+    return sentence
+
+
+def read_bytes(path: Path) -> bytes:
+    """Contents of a file. Raises `MotionFormatError` when it cannot be read or is empty."""
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError as error:
+        raise MotionFormatError(f"{path} does not exist: check the name and the folder") from error
+    except OSError as error:
+        raise MotionFormatError(f"{path} cannot be read: {error.strerror}") from error
+    if not content.strip():
+        raise MotionFormatError(f"{path} is empty: copy or export it again")
+    return content
+
+
+def read_lines(path: Path) -> list[str]:
+    """Lines of a UTF-8 text file. Raises `MotionFormatError` when it is unreadable, empty or not text."""
+    content = read_bytes(path)
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        text, line = "\0", content.count(b"\n", 0, error.start) + 1
+    else:
+        line = text.partition("\0")[0].count("\n") + 1
+    if "\0" in text:
+        raise MotionFormatError(f"{path}, line {line}: received bytes that are not UTF-8 text, export it as text")
+    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+
+
+# Right-handed rotations that take the file's up axis to y: x' = ..., y' = up, z' = ... as (axes, signs).
+_TO_Y_UP = {"x": ([1, 0, 2], [-1, 1, 1]), "y": ([0, 1, 2], [1, 1, 1]), "z": ([0, 2, 1], [1, 1, -1])}
+
+
+def to_metres(vectors: np.ndarray, unit: float, up: str) -> np.ndarray:
+    """Vectors (..., 3) of a file in metres with y up, in their own dtype.
+
+    The turn keeps handedness: z up goes (x, y, z) -> (x, z, -y), x up goes (x, y, z) -> (-y, x, z).
+    """
+    axes, signs = _TO_Y_UP[up]
+    return vectors[..., axes] * np.asarray(signs, vectors.dtype) * unit
+
+
+def motion_from(
+    positions: np.ndarray,
+    skeleton: Skeleton,
+    *,
+    fps: float,
+    unit: float,
+    up: str,
+    history: tuple[str, ...],
+    observed: np.ndarray | None = None,
+    confidence: np.ndarray | None = None,
+) -> Motion:
+    """`Motion` of positions (frame, joint, 3) and a skeleton that are both still in the file's unit and axes."""
+    if skeleton.rest_offsets is not None:
+        offsets = to_metres(np.asarray(skeleton.rest_offsets), unit, up)
+        skeleton = Skeleton(skeleton.names, skeleton.edges, offsets)
+    masks = {} if observed is None else {"observed": observed}
+    metres = to_metres(positions, unit, up)
+    return Motion(metres, skeleton, fps, confidence=confidence, unit=unit, up=up, history=history, **masks)
+
+
+def skeleton_for(
+    path: Path, names: list[str], own: Skeleton | None, asked: Skeleton | str | Path | None
+) -> tuple[Skeleton, list[int], str]:
+    """Skeleton of a file with joints `names`, the file's column of each of its joints, and a line of history.
+
+    The asked skeleton goes before the file's `own`; with neither, a standard with the same names is taken. Raises
+    `MotionFormatError` where there is none or its joints are not the file's, `ValueError` for an unknown skeleton.
+    """
+    if asked is not None:
+        skeleton, note = _named(asked), "took the bones from the skeleton asked for"
+    elif own is not None:
+        skeleton, note = own, "took the bones from the file"
+    else:
+        same = (name for name in STANDARDS if set(Skeleton.standard(name).names) == set(names))
+        standard = next(same, None)
+        if standard is None:
+            raise MotionFormatError(
+                f"{path} names {counted(len(names), 'joint')} without bones: "
+                f"give skeleton= (--skeleton), a skeleton file or one of {', '.join(STANDARDS)}"
+            )
+        skeleton, note = Skeleton.standard(standard), f"took the bones of {standard}, whose joint names these are"
+    if set(skeleton.names) != set(names):
+        lost, new = sorted(set(names) - set(skeleton.names)), sorted(set(skeleton.names) - set(names))
+        raise MotionFormatError(
+            f"{path} and the skeleton name other joints: only the file has {lost}, only the skeleton has {new}; "
+            "give a skeleton with the joints of the file"
+        )
+    index = {name: column for column, name in enumerate(names)}
+    return skeleton, [index[name] for name in skeleton.names], note
+
+
+def _named(skeleton: Skeleton | str | Path) -> Skeleton:
+    """A skeleton from itself, the name of a standard, or a TOML file."""
+    if isinstance(skeleton, Skeleton):
+        return skeleton
+    if str(skeleton) in STANDARDS:
+        return Skeleton.standard(str(skeleton))
+    if not Path(skeleton).is_file():
+        raise ValueError(
+            f"received skeleton {str(skeleton)!r}: give a skeleton file that exists or one of {', '.join(STANDARDS)}"
+        )
+    return Skeleton.from_file(skeleton)
+
+
+def parents_of(skeleton: Skeleton) -> tuple[int, ...] | None:
+    """Parents that rebuild exactly this skeleton, None where only its list of bones does."""
+    try:
+        parents = skeleton.parents
+    except ValueError:
+        return None
+    return parents if Skeleton.from_parents(skeleton.names, parents).edges == skeleton.edges else None

@@ -1,0 +1,272 @@
+"""BVH (Biovision hierarchy), read only: a skeleton of offsets, then one row of channels a frame.
+
+Joints keep their file order; each end site becomes a joint, `LeftToeBase_end`. A position channel takes the place of
+that component of the joint's OFFSET, on the root as on any joint, as in Blender's importer and pybvh. Rotations are
+degrees, multiplied in the order of the channels. Rest offsets are the OFFSETs.
+
+Rotations are pybvh's. Its parser is not used: pybvh 0.9 refuses joints without exactly three rotation channels,
+position channels on joints, roots without position and reordered root positions, takes infinite numbers and unclosed
+blocks without a word, and gives no line numbers for the rows.
+
+Source: M. Meredith, S. Maddock, "Motion capture file formats explained", 2001.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NoReturn
+
+import numpy as np
+
+from motionrecover.io.border import Asked, assume, counted, finite, motion_from, read_lines, shown
+from motionrecover.io.errors import MotionFormatError
+from motionrecover.io.kinematics import euler_rotations, forward
+from motionrecover.motion import UNITS, Motion
+from motionrecover.skeleton import Skeleton
+
+PERSON = 1.7
+"""Metres that the largest extent of a person's rest pose is expected to be near: height or arm span."""
+
+UNIT_GUESSES = {name: UNITS[name] for name in ("m", "cm", "mm", "in")} | {"CMU's 1/0.45 in": 0.0254 / 0.45}
+"""Units that BVH files are written in; the last is that of the CMU database and its cgspeed conversion."""
+
+_Fail = Callable[[str], NoReturn]
+
+_HEADER = re.compile(r"\s*(Frames|Frame\s+Time)\s*:\s*(.*?)\s*$", re.IGNORECASE)
+_CHANNEL = re.compile(r"([XYZ])(position|rotation)$", re.IGNORECASE)
+
+
+@dataclass
+class _Joint:
+    name: str
+    parent: int
+    line: int
+    offset: list[float] | None = None
+    channels: list[tuple[str, int]] = field(default_factory=list)
+    """(position or rotation, axis) for each column of the joint."""
+
+
+def read(path: Path, asked: Asked) -> Motion:
+    """Motion of a BVH file, every joint and end site in global positions (float64).
+
+    BVH states neither unit nor up axis. Unless asked for, the unit is the one of `UNIT_GUESSES` that brings the
+    largest extent of the rest pose nearest to `PERSON`, and up is y, or z where `_up` finds it; both go to the
+    history, and the unit and z up are warned about (`MotionFormatWarning`).
+
+    Raises `MotionFormatError` for a file that is not a whole BVH file, `ValueError` when asked for a skeleton.
+    """
+    if asked.skeleton is not None:
+        raise ValueError("received a skeleton for a BVH file, which brings its own: leave skeleton= (--skeleton) out")
+    lines = read_lines(path)
+    joints, start = _hierarchy(path, lines)
+    values, fps, timing = _motion(path, lines, start, sum(len(joint.channels) for joint in joints), asked)
+
+    parents = [joint.parent for joint in joints]
+    offsets = np.array([joint.offset for joint in joints])
+    translations = np.broadcast_to(offsets, (len(values), *offsets.shape)).copy()
+    angles, orders, column = np.zeros_like(translations), [], 0
+    for j, joint in enumerate(joints):
+        order = []
+        for kind, axis in joint.channels:
+            if kind == "position":
+                translations[:, j, axis] = values[:, column]
+            else:
+                angles[:, j, len(order)] = np.radians(values[:, column])
+                order.append("XYZ"[axis])
+            column += 1
+        orders.append("".join(order) + "".join(axis for axis in "XYZ" if axis not in order))
+    positions = forward(parents, translations, euler_rotations(angles, orders))
+
+    offsets[[parent == -1 for parent in parents]] = 0.0
+    rest = forward(parents, offsets[None], np.broadcast_to(np.eye(3), (1, len(joints), 3, 3)))
+    history = [f"read {path.name} (BVH): {counted(len(values), 'frame')}, {counted(len(joints), 'joint')}", timing]
+    up = asked.up or _up(rest, positions)
+    if asked.up is None:
+        sentence = f"{path.name} states no up axis: assumed {up}, override with up= (--up)"
+        history.append(sentence if up == "y" else assume(f"{sentence}, for its poses are tall along {up}"))
+    unit = asked.unit
+    if unit is None:
+        name, unit = _unit(path, rest)
+        history.append(
+            assume(
+                f"{path.name} states no unit: assumed {name} ({unit:.6g} m), for that makes the largest extent of its "
+                f"rest pose {unit * _extents(rest).max():.2f} m, override with unit= (--unit)"
+            )
+        )
+    skeleton = Skeleton.from_parents([joint.name for joint in joints], parents, offsets)
+    return motion_from(positions, skeleton, fps=fps, unit=unit, up=up, history=tuple(history))
+
+
+def _hierarchy(path: Path, lines: list[str]) -> tuple[list[_Joint], int]:
+    """Joints in file order, and the number of the line that says MOTION."""
+    joints: list[_Joint] = []
+    blocks: list[int] = []
+    awaits_block = False
+
+    def fail(what: str) -> NoReturn:
+        raise MotionFormatError(f"{path}, line {number}: {what}")
+
+    number = 0
+    for number, line in enumerate(lines, 1):
+        if line.strip().upper() == "MOTION":
+            break
+        for part in re.split(r"([{}])", line):
+            if not part.strip():
+                continue
+            key, *words = part.split()
+            if awaits_block and key != "{":
+                fail(f"received {shown(key)} where the block of {joints[-1].name!r} should begin, put a '{{' before it")
+            match key.upper():
+                case "HIERARCHY":
+                    pass
+                case "ROOT" | "JOINT" | "END":
+                    joints.append(_declared(key.upper(), words, number, joints, blocks, fail))
+                    awaits_block = True
+                case "{":
+                    if not awaits_block:
+                        fail("received '{' without a ROOT, JOINT or End Site before it, remove it")
+                    blocks.append(len(joints) - 1)
+                    awaits_block = False
+                case "}":
+                    if not blocks:
+                        fail("received '}' with no block open, remove it")
+                    joint = joints[blocks.pop()]
+                    if joint.offset is None:
+                        fail(f"the block of {joint.name!r} (line {joint.line}) ends without an OFFSET, add it")
+                case "OFFSET" if blocks:
+                    offset = [value for value in map(finite, words) if value is not None]
+                    if not len(offset) == len(words) == 3:
+                        fail(f"received OFFSET {shown(' '.join(words))}, give three finite numbers")
+                    joints[blocks[-1]].offset = offset
+                case "CHANNELS" if blocks:
+                    joints[blocks[-1]].channels = _channels(words, fail)
+                case _:
+                    fail(
+                        f"received {shown(key)}, which has no place here in a BVH hierarchy: check that the file is BVH"
+                    )
+    else:
+        where = f"inside the block of {joints[blocks[-1]].name!r}" if blocks else "before the line MOTION"
+        fail(f"the file ends {where}, it was cut off: get the whole file")
+    if blocks or awaits_block or not joints:
+        what = f"inside the block of {joints[-1].name!r}" if joints else "before any ROOT"
+        fail(f"MOTION begins {what}, the hierarchy was cut off: get the whole file")
+    return joints, number
+
+
+def _declared(key: str, words: list[str], number: int, joints: list[_Joint], blocks: list[int], fail: _Fail) -> _Joint:
+    """The joint that a line ROOT, JOINT or End Site declares in the innermost open block."""
+    parent = blocks[-1] if blocks else -1
+    if (key == "ROOT") != (parent == -1):
+        fail(f"received {key} {'outside of every' if parent == -1 else 'inside a'} ROOT, the braces do not match")
+    taken = {joint.name for joint in joints}
+    name = " ".join(words)
+    if key == "END":
+        name = base = f"{joints[parent].name}_end"
+        count = 1
+        while name in taken:
+            name, count = f"{base}{count + 1}", count + 1
+    if not name or name in taken:
+        fail(f"received joint name {name!r} {'again' if name else ''}, give every joint a name of its own")
+    return _Joint(name, parent, number)
+
+
+def _channels(words: list[str], fail: _Fail) -> list[tuple[str, int]]:
+    """(kind, axis) of the words after CHANNELS: their count, then their names."""
+    if not words or words[0] != str(len(words) - 1):
+        fail(f"received CHANNELS {shown(' '.join(words))}, give the number of channels and then that many names")
+    found = [_CHANNEL.match(word) for word in words[1:]]
+    channels = [(match[2].lower(), "XYZ".index(match[1].upper())) for match in found if match]
+    if len(channels) != len(found) or len(set(channels)) != len(channels):
+        fail(f"received the channels {shown(' '.join(words[1:]))}, name each of Xposition ... Zrotation once at most")
+    return channels
+
+
+def _motion(path: Path, lines: list[str], start: int, columns: int, asked: Asked) -> tuple[np.ndarray, float, str]:
+    """Values (frame, channel), frames a second, and a line of history about the frame rate."""
+    header: dict[str, tuple[int, str]] = {}
+    rows: list[tuple[int, str]] = []
+    for number, line in enumerate(lines[start:], start + 1):
+        match = None if rows else _HEADER.match(line)
+        if match:
+            header[match[1].lower().split()[-1]] = (number, match[2])
+        elif line.strip():
+            rows.append((number, line))
+
+    if asked.fps is not None:
+        fps, timing = asked.fps, f"took the frame rate asked for, {asked.fps:g}"
+    elif "time" not in header:
+        raise MotionFormatError(f"{path}, line {start}: no 'Frame Time:' follows MOTION, give fps= (--fps)")
+    else:
+        number, text = header["time"]
+        seconds = finite(text)
+        if seconds is None or seconds <= 0:
+            raise MotionFormatError(
+                f"{path}, line {number}: received Frame Time {shown(text)}, write seconds above 0 or give fps= (--fps)"
+            )
+        fps = 1 / seconds
+        # Frame times are printed short: .0083333 s means 120 a second, while 23.976 stays as it is.
+        if math.isclose(fps, round(fps), rel_tol=1e-4):
+            fps = float(round(fps))
+        timing = f"took {fps:.6g} frames a second from the frame time {text} s"
+
+    if "frames" not in header:
+        raise MotionFormatError(f"{path}, line {start}: no 'Frames:' follows MOTION, add it with the number of rows")
+    if not rows or not columns:
+        what = "the file ends before the first frame" if columns else "the hierarchy declares no channels"
+        raise MotionFormatError(f"{path}, line {start}: {what}, get the whole file")
+    try:
+        values = np.loadtxt([line for _, line in rows], comments=None, ndmin=2)
+    except ValueError:
+        _blame(path, rows, columns)
+    if values.shape[1] != columns or not np.isfinite(values).all():
+        _blame(path, rows, columns)
+    number, text = header["frames"]
+    if text != str(len(rows)):
+        raise MotionFormatError(
+            f"{path}, line {number}: received Frames: {shown(text)} and {counted(len(rows), 'row')} of numbers, "
+            "get the whole file or correct the number"
+        )
+    return values, fps, timing
+
+
+def _blame(path: Path, rows: list[tuple[int, str]], columns: int) -> NoReturn:
+    """Raise about the first row that is not `columns` finite numbers."""
+    for number, line in rows:
+        words = line.split()
+        wrong = next((word for word in words if finite(word) is None), None)
+        if wrong is not None:
+            raise MotionFormatError(f"{path}, line {number}: received {shown(wrong)}, write a finite number")
+        if len(words) != columns:
+            raise MotionFormatError(
+                f"{path}, line {number}: received {counted(len(words), 'number')} for {counted(columns, 'channel')}, "
+                "the row was cut off or the hierarchy is another file's"
+            )
+    raise MotionFormatError(f"{path}, line {rows[0][0]}: the rows are not plain numbers, export the file again")
+
+
+def _extents(poses: np.ndarray) -> np.ndarray:
+    """Extent along x, y, z (3,) of poses (frame, joint, 3): the median over frames."""
+    return np.median(np.ptp(poses, axis=1), axis=0)
+
+
+def _up(rest: np.ndarray, positions: np.ndarray) -> str:
+    """Y, the habit of the format, or z where rest pose and recorded poses are both over twice as tall along z.
+
+    One of the two alone misleads: a person who lies is long along z, and some rest poses are laid out flat.
+    """
+    tall = all(extents[2] > 2 * extents[1] for extents in (_extents(rest), _extents(positions)))
+    return "z" if tall else "y"
+
+
+def _unit(path: Path, rest: np.ndarray) -> tuple[str, float]:
+    """Name and metres of the unit that makes the rest pose a person."""
+    size = _extents(rest).max()
+    if size == 0:
+        raise MotionFormatError(
+            f"{path} has a rest pose without extent, from which no unit follows: give unit= (--unit)"
+        )
+    return min(UNIT_GUESSES.items(), key=lambda item: abs(math.log(item[1] * size / PERSON)))

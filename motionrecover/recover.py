@@ -1,0 +1,175 @@
+"""The front door: a corrupted clip in, the recovered clip and everything known about it out."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import jax
+import numpy as np
+
+from motionrecover import intake
+from motionrecover.presets import Preset, find
+from motionrecover.skeleton import Skeleton
+from motionrecover.solver import Result, Trace, solve
+
+TRUST = 0.01
+"""Metres. A sample that was moved farther counts as changed, and less than fully trusted."""
+
+
+class RecoveryError(RuntimeError):
+    """The solver gave a verdict that leaves no usable answer."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recovery:
+    """Answer of `recover`. Arrays are NumPy, in the units of the input."""
+
+    positions: np.ndarray
+    """A as (frame, joint, 3)."""
+    outliers: np.ndarray
+    """E (frame, joint, 3): what the model takes for gross error in the observed samples; 0 where nothing was observed."""
+    weights: np.ndarray
+    """(frame, joint) in [0, 1]: how far each sample was trusted. Confidence times the Huber weight of the distance it
+    was moved, 1 up to 1 cm and 1 cm / distance beyond (Huber, "Robust Statistics", 1981, Sec. 7.3); 0 where missing."""
+    observed: np.ndarray
+    """(frame, joint): True where the input held a sample."""
+    bone_lengths: np.ndarray
+    """(bone,): the lengths used, given or estimated."""
+    skeleton: Skeleton
+    fps: float | None
+    result: Result
+    """Verdict; `message` is its sentence."""
+    steps: int
+    trace: Trace
+    """One row a step."""
+    seconds: dict[str, float]
+    """`compile` and `run`, apart. `compile` is 0 when a program for these shapes was at hand."""
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """A as the papers' motion matrix (3 frames, joints)."""
+        return intake.matrix_from(self.positions)
+
+    @property
+    def message(self) -> str:
+        """The verdict in a sentence."""
+        return Result[self.result]
+
+    @property
+    def converged(self) -> bool:
+        """Whether both residuals fell below the tolerance."""
+        return bool(self.result == Result.converged)
+
+
+def recover(
+    D: Any,
+    skeleton: Skeleton,
+    *,
+    preset: str | Preset = "str_yang2020",
+    observed: Any = None,
+    confidence: Any = None,
+    bone_lengths: Any = None,
+    fps: float | None = None,
+    max_steps: int | None = None,
+    dtype: Any = None,
+    throw: bool = True,
+    verbose: bool = False,
+) -> Recovery:
+    """Recover the motion behind corrupted joint positions.
+
+    `D`: (frame, joint, 3), or the motion matrix (3 frames, joints) of Yang et al. 2020, Eq. 1; NumPy or JAX, in
+    metres; NaN marks missing samples. `preset`: a name in `presets.PRESETS` or a `Preset`. `observed` (frame, joint):
+    False marks further missing samples. `confidence` (frame, joint) in [0, 1] scales the trust in each sample.
+    `bone_lengths` (bone,) in metres; left out, they are estimated from D, which is safe while less than half of each
+    bone's frames are corrupted. `fps`: frames a second, kept in the answer; the three published models do not
+    depend on it. `max_steps`: in place of the preset's. `dtype`: float32 (the default) or float64. `throw`: raise
+    `RecoveryError` when the verdict is that there is no usable answer, instead of returning it with the verdict.
+    `verbose`: print the trace.
+
+    Raises `ValueError`, in one sentence, for input that cannot be used: see `intake.take_in`.
+    """
+    preset = find(preset)
+    dtype = np.dtype(np.float32 if dtype is None else dtype)
+    if dtype not in (np.float32, np.float64):
+        raise ValueError(f"received dtype {dtype}: give float32 or float64")
+    if fps is not None and not (np.isfinite(fps) and fps > 0):
+        raise ValueError(f"received a frame rate of {fps}: give frames a second, above 0")
+    steps = preset.max_steps if max_steps is None else max_steps
+    if steps < 1:
+        raise ValueError(f"received max_steps {max_steps}: give at least 1")
+    printed = preset.initialisation == "printed"
+    clip = intake.take_in(
+        D, skeleton, observed, confidence, bone_lengths, needs_bones=preset.isometry_weight is not None, centre=not printed
+    )
+
+    # float64 is allowed in both cases: see `prox.singular_value_threshold`.
+    with jax.enable_x64(True):
+        problem = clip.problem(dtype, bucket(len(clip.data)))
+        arguments = (preset.solver(problem), problem)
+        leaves, structure = jax.tree.flatten(arguments)
+        start = time.perf_counter()
+        hits = _compile.cache_info().hits
+        run = _compile(structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves), steps)
+        compiled = time.perf_counter()
+        solution = jax.block_until_ready(run(*arguments))
+        done = time.perf_counter()
+        fresh = _compile.cache_info().hits == hits
+
+    positions = clip.restore(solution.positions) + clip.origin.astype(dtype)
+    seen = clip.weights > 0
+    # A joint merged with others has the group's E, plus what sets its own samples apart from the group's.
+    apart = clip.data - clip.merged[:, clip.groups]
+    outliers = np.where(seen[..., None], clip.restore(solution.outliers) + apart, 0).astype(dtype)
+    if bool((solution.result == Result.nothing_observed) | (solution.result == Result.non_finite)):
+        if throw:
+            raise RecoveryError(Result[solution.result])
+        positions = np.full_like(positions, np.nan)
+    moved = np.linalg.norm(np.nan_to_num(clip.data) - positions, axis=-1)
+    recovery = Recovery(
+        positions=positions,
+        outliers=outliers,
+        weights=np.where(seen, clip.weights * TRUST / np.maximum(moved, TRUST), 0),
+        observed=seen,
+        bone_lengths=clip.bone_lengths,
+        skeleton=skeleton,
+        fps=fps,
+        result=solution.result,
+        steps=int(solution.steps),
+        trace=jax.tree.map(np.asarray, solution.trace),
+        seconds={"compile": compiled - start if fresh else 0.0, "run": done - compiled},
+    )
+    if verbose:
+        _print_trace(recovery)
+    return recovery
+
+
+def bucket(frames: int) -> int:
+    """Stored length for a clip: `frames` rounded up to one of eight sizes an octave (at most 1/8 more, from 8 on).
+
+    Clips of one bucket share a compiled program. Padding does not change an answer: see `solver.Problem`.
+    """
+    step = max(1, 1 << max(0, (frames - 1).bit_length() - 4))
+    return max(8, -(-frames // step) * step)
+
+
+@lru_cache(maxsize=256)
+def _compile(structure, shapes, max_steps):
+    """The solver's program for arguments of this structure and these shapes."""
+    arguments = jax.tree.unflatten(structure, [jax.ShapeDtypeStruct(*shape) for shape in shapes])
+    return jax.jit(lambda solver, problem: solve(solver, problem, max_steps)).lower(*arguments).compile()
+
+
+def _print_trace(recovery):
+    """The trace at 1, 2, 5, 10, 20, 50, ... steps, the last one, and the verdict."""
+    print(f"{'step':>5} {'objective':>11} {'primal':>9} {'dual':>9} {'rank':>4} {'penalty':>8}")
+    trace, last = recovery.trace, recovery.steps
+    for step in sorted({k * 10**p for k in (1, 2, 5) for p in range(6) if k * 10**p <= last} | {last} - {0}):
+        row = step - 1
+        print(
+            f"{step:5d} {trace.objective[row]:11.5g} {trace.primal_residual[row]:9.2e} {trace.dual_residual[row]:9.2e} "
+            f"{trace.rank[row]:4.0f} {trace.penalty[row]:8.3g}"
+        )
+    print(recovery.message)

@@ -1,0 +1,35 @@
+"""The loop: counts, checks and records the steps of a solver."""
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from motionrecover.solver.problem import Problem
+from motionrecover.solver.result import Result, Solution, Trace
+from motionrecover.solver.step import Solver
+
+
+def solve(solver: Solver, problem: Problem, max_steps: int) -> Solution:
+    """Steps until the solver says it is done, or `max_steps`.
+
+    `vmap` over problems (and solvers) gives each clip its own verdict: a clip that is done, or broken, is frozen while
+    the others go on.
+    """
+    state = solver.init(problem)
+    _, shapes = jax.eval_shape(solver.step, problem, state)
+    rows = jax.tree.map(lambda x: jnp.full((max_steps, *x.shape), jnp.nan, problem.positions.dtype), shapes)
+
+    def more(carry):
+        _, _, result, step = carry
+        return (result == Result.running) & (step < max_steps)
+
+    def advance(carry):
+        state, rows, _, step = carry
+        state, info = solver.step(problem, state)
+        rows = jax.tree.map(lambda row, x: row.at[step].set(x.astype(row.dtype)), rows, info)
+        return state, rows, solver.terminate(info), step + 1
+
+    carry = (state, rows, solver.check(problem), jnp.array(0))
+    state, rows, result, steps = lax.while_loop(more, advance, carry)
+    result = Result.where(result == Result.running, Result.max_steps, result)
+    return Solution(state.a, state.e, result, steps, Trace(**vars(rows)))

@@ -1,0 +1,26 @@
+"""What is to be recovered: data, trust, bones."""
+
+import equinox as eqx
+from jaxtyping import Array, Float, Int
+
+from motionrecover.isometry.objective import Edges
+
+
+class Problem(eqx.Module):
+    """One clip, as the solver sees it: arrays of fixed shape, no names, no units, no NaN.
+
+    Positions are (component, joint, frame): the papers' 3T x S motion matrix with frames last, so that filters and
+    products along time run through contiguous memory. Frames from `frames` on are padding; they must be zero and stay
+    zero.
+    """
+
+    positions: Float[Array, "3 joint frame"]
+    """D. Where `weights` is zero the value counts for nothing but as the start of the iteration."""
+    weights: Float[Array, "joint frame"]
+    """Trust in [0, 1] in each sample; it multiplies the outlier weight. 0 marks a missing sample."""
+    bone_lengths: Float[Array, " bone"]
+    """l, in the unit of the positions."""
+    frames: Int[Array, ""]
+    """Number of valid frames; the stored ones beyond are padding."""
+    edges: Edges = eqx.field(static=True)
+    """Bones as pairs of joint indices."""

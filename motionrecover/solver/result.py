@@ -1,0 +1,58 @@
+"""What comes back: a verdict, the answer, and the trace of how it was reached."""
+
+import equinox as eqx
+from jaxtyping import Array, Float, Int
+
+
+class Result(eqx.Enumeration):
+    """Verdict on one clip."""
+
+    running = "The iteration has not ended."
+    converged = "Converged: primal and dual residuals are below the tolerance."
+    max_steps = (
+        "Stopped at the maximum number of steps before the residuals were below the tolerance: "
+        "the answer is usable, raise max_steps to refine it."
+    )
+    non_finite_input = "The input holds NaN or infinite numbers where it is marked as observed: mark them as missing."
+    non_finite = "The iteration left the finite numbers: lower the penalty or its growth, or use float64."
+    nothing_observed = "No sample is observed: there is nothing to recover from."
+
+
+class Trace(eqx.Module):
+    """One row a step; rows from `Solution.steps` on are NaN."""
+
+    primal_residual: Float[Array, " step"]
+    """|(E - D + A, N - A, C - W A)| / |D|."""
+    dual_residual: Float[Array, " step"]
+    """Distance from stationarity / |lambda w|: see `Solver.step`."""
+    nuclear: Float[Array, " step"]
+    """|A|_*."""
+    outlier: Float[Array, " step"]
+    """lambda |weights * E|_1."""
+    isometry: Float[Array, " step"]
+    """gamma / 2 E_iso(N)."""
+    smoothness: Float[Array, " step"]
+    """mu |C|_1."""
+    rank: Float[Array, " step"]
+    """Singular values of A above zero."""
+    penalty: Float[Array, " step"]
+    """rho_1."""
+    inner_steps: Float[Array, " step"]
+    """Conjugate gradient steps of the N-subproblem; 0 where elimination solved it."""
+
+    @property
+    def objective(self) -> Float[Array, " step"]:
+        """Value of Eq. 8 at the split variables: the energy of the papers' convergence figures."""
+        return self.nuclear + self.outlier + self.isometry + self.smoothness
+
+
+class Solution(eqx.Module):
+    """Answer, verdict and trace of one clip."""
+
+    positions: Float[Array, "3 joint frame"]
+    """A."""
+    outliers: Float[Array, "3 joint frame"]
+    """E."""
+    result: Result
+    steps: Int[Array, ""]
+    trace: Trace

@@ -1,0 +1,34 @@
+"""What the tests share."""
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from motionrecover.io import MotionFormatError
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real recordings, which is no part of the project."""
+    default = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("MOTIONRECOVER_DATA", default))
+    if not folder.is_dir():
+        pytest.skip(f"no folder of real recordings at {folder}: set MOTIONRECOVER_DATA to one")
+    return folder
+
+
+@pytest.fixture
+def refused() -> Callable[..., None]:
+    """Checks that a call is refused with one sentence that holds all the given words."""
+
+    def check(call: Callable[[], object], *words: str, error: type[Exception] = MotionFormatError) -> None:
+        with pytest.raises(error) as caught:
+            call()
+        assert type(caught.value) is error
+        sentence = str(caught.value)
+        assert "\n" not in sentence
+        assert not [word for word in words if word not in sentence], sentence
+
+    return check
