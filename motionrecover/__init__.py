@@ -1,1 +1,32 @@
-"""Recover the human motion that really happened."""
+"""Recover the human motion that really happened from recordings with jitter, spikes and missing joints."""
+
+from importlib.metadata import version
+
+from motionrecover import corrupt, metrics
+from motionrecover.io import MotionFormatError, MotionFormatWarning, load, save
+from motionrecover.motion import Motion
+from motionrecover.presets import PRESETS, Preset
+from motionrecover.recover import Recovery, RecoveryError, recover
+from motionrecover.skeleton import Skeleton
+from motionrecover.solver import Result
+from motionrecover.synthesize import synthesize
+
+__version__ = version("motionrecover")
+
+__all__ = [
+    "PRESETS",
+    "Motion",
+    "MotionFormatError",
+    "MotionFormatWarning",
+    "Preset",
+    "Recovery",
+    "RecoveryError",
+    "Result",
+    "Skeleton",
+    "corrupt",
+    "load",
+    "metrics",
+    "recover",
+    "save",
+    "synthesize",
+]

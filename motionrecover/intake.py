@@ -42,7 +42,9 @@ class Intake:
         frames = len(self.merged)
         pad = stored - frames
         return Problem(
-            positions=jnp.asarray(np.pad((self.merged - self.origin).transpose(2, 1, 0), ((0, 0), (0, 0), (0, pad))), dtype),
+            positions=jnp.asarray(
+                np.pad((self.merged - self.origin).transpose(2, 1, 0), ((0, 0), (0, 0), (0, pad))), dtype
+            ),
             weights=jnp.asarray(np.pad(self.merged_weights.T, ((0, 0), (0, pad))), dtype),
             bone_lengths=jnp.asarray(self.edge_lengths, dtype),
             frames=jnp.asarray(frames, jnp.int32),
@@ -193,7 +195,9 @@ def _lengths(bone_lengths, skeleton, data):
     bad = ~(np.isfinite(lengths) & (lengths > 0)) & ~(point & (lengths == 0))
     if bad.any():
         bone = int(np.argmax(bad))
-        raise ValueError(f"received a length of {lengths[bone]} for bone {names[bone]}: lengths are positive, in metres")
+        raise ValueError(
+            f"received a length of {lengths[bone]} for bone {names[bone]}: lengths are positive, in metres"
+        )
     return lengths
 
 

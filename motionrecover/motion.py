@@ -22,10 +22,10 @@ class Motion:
     `positions` is (frame, joint, 3) in metres with y up, NaN where nothing was measured. `observed` (frame, joint) is
     True where a joint was measured; left out, it is True where the position is finite. `confidence` (frame, joint)
     in [0, 1] says how far a measurement is to be trusted, None where the source does not say. `fps` is frames a
-    second. `unit` (metres in one unit) and `up` (x, y or z) describe the file that the clip came from. `history` tells what
-    was read, assumed and done, in order.
+    second. `unit` (metres in one unit) and `up` (x, y or z) describe the file that the clip came from. `history`
+    tells what was read, assumed and done, in order.
 
-    Raises `ValueError` for misshapen or infinite positions, misshapen masks, and an unusable frame rate.
+    Raises `ValueError` for misshapen or infinite positions, unusable masks and an unusable frame rate.
     """
 
     positions: np.ndarray
@@ -44,14 +44,16 @@ class Motion:
         joints = len(self.skeleton.names)
         if positions.ndim != 3 or positions.shape[1:] != (joints, 3):
             raise ValueError(
-                f"received positions of shape {positions.shape}: a skeleton of {joints} joints needs (frame, {joints}, 3)"
+                f"received positions of shape {positions.shape}: "
+                f"a skeleton of {joints} joints needs (frame, {joints}, 3)"
             )
         if len(positions) == 0:
             raise ValueError("received a clip of 0 frames: a motion needs at least one")
         if np.isinf(positions).any():
             frame, joint, _ = np.argwhere(np.isinf(positions))[0]
             raise ValueError(
-                f"received an infinite position at frame {frame}, joint {self.skeleton.names[joint]!r}: mark missing samples as NaN"
+                f"received an infinite position at frame {frame}, joint {self.skeleton.names[joint]!r}: "
+                "mark missing samples as NaN"
             )
         if not (np.isfinite(self.fps) and self.fps > 0):
             raise ValueError(f"received a frame rate of {self.fps}: give frames a second, above 0")
@@ -64,6 +66,8 @@ class Motion:
                 raise ValueError(
                     f"received {name} of shape {np.shape(mask)}: the clip has (frame, joint) = {finite.shape}"
                 )
+        if self.confidence is not None and not ((self.confidence >= 0) & (self.confidence <= 1)).all():
+            raise ValueError("received a confidence outside 0 (ignore) to 1 (trust)")
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "observed", observed & finite)
 

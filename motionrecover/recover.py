@@ -102,8 +102,18 @@ def recover(
         raise ValueError(f"received max_steps {max_steps}: give at least 1")
     printed = preset.initialisation == "printed"
     clip = intake.take_in(
-        D, skeleton, observed, confidence, bone_lengths, needs_bones=preset.isometry_weight is not None, centre=not printed
+        D,
+        skeleton,
+        observed,
+        confidence,
+        bone_lengths,
+        needs_bones=preset.isometry_weight is not None,
+        centre=not printed,
     )
+    if len(clip.data) < preset.min_frames:
+        raise ValueError(
+            f"received a clip of {len(clip.data)} frames: {preset.name} learns from time, give at least {preset.min_frames}"
+        )
 
     # float64 is allowed in both cases: see `prox.singular_value_threshold`.
     with jax.enable_x64(True):

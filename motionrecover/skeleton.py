@@ -49,9 +49,7 @@ class Skeleton:
             for joint in edge:
                 known = joint in index if isinstance(joint, str) else 0 <= joint < len(names)
                 if not known:
-                    raise ValueError(
-                        f"received bone {tuple(edge)!r}: {joint!r} is none of the {len(names)} joints"
-                    )
+                    raise ValueError(f"received bone {tuple(edge)!r}: {joint!r} is none of the {len(names)} joints")
                 pair.append(index[joint] if isinstance(joint, str) else int(joint))
             if pair[0] == pair[1]:
                 raise ValueError(f"received a bone from joint {names[pair[0]]!r} to itself: remove it")
@@ -75,19 +73,19 @@ class Skeleton:
     def from_parents(
         cls, names: Iterable[str], parents: Iterable[int], rest_offsets: np.ndarray | None = None
     ) -> Skeleton:
-        """Skeleton from each joint's parent index; -1 marks a root."""
+        """Skeleton from each joint's parent index; -1 marks a root. Raises `ValueError` for a cycle."""
         names, parents = tuple(names), [int(p) for p in parents]
         if len(names) != len(parents):
-            raise ValueError(
-                f"received {len(names)} joint names and {len(parents)} parents: give one parent a joint"
-            )
-        return cls(names, [(p, j) for j, p in enumerate(parents) if p != -1], rest_offsets)
+            raise ValueError(f"received {len(names)} joint names and {len(parents)} parents: give one parent a joint")
+        skeleton = cls(names, [(p, j) for j, p in enumerate(parents) if p != -1], rest_offsets)
+        skeleton.parents  # noqa: B018  refuses a cycle
+        return skeleton
 
     @classmethod
     def from_file(cls, path: str | Path) -> Skeleton:
-        """Skeleton from a TOML file with `names` and either `parents` (indices or names, -1 or "" for a root) or `edges`.
+        """Skeleton from a TOML file with `names` and either `parents` or `edges`.
 
-        Raises `ValueError` when the file is not such a file.
+        Parents are indices or names, -1 or "" for a root. Raises `ValueError` when the file is not such a file.
         """
         path = Path(path)
         try:
@@ -102,8 +100,7 @@ class Skeleton:
         if "edges" in table:
             return cls(names, table["edges"])
         parents = [
-            -1 if p == "" else names.index(p) if isinstance(p, str) and p in names else p
-            for p in table["parents"]
+            -1 if p == "" else names.index(p) if isinstance(p, str) and p in names else p for p in table["parents"]
         ]
         if any(isinstance(p, str) for p in parents):
             unknown = next(p for p in parents if isinstance(p, str))
@@ -119,7 +116,10 @@ class Skeleton:
 
     @property
     def parents(self) -> tuple[int, ...]:
-        """Each joint's parent, -1 for a root. Raises `ValueError` where the bones give a joint two parents or a cycle."""
+        """Each joint's parent, -1 for a root.
+
+        Raises `ValueError` where the bones, read as (parent, child), give a joint two parents or a cycle.
+        """
         parents = [-1] * len(self.names)
         for parent, child in self.edges:
             if parents[child] != -1:
@@ -132,9 +132,7 @@ class Skeleton:
             seen, at = {joint}, parents[joint]
             while at != -1:
                 if at in seen:
-                    raise ValueError(
-                        f"the bones above joint {self.names[joint]!r} form a cycle: a tree has none"
-                    )
+                    raise ValueError(f"the bones above joint {self.names[joint]!r} form a cycle: a tree has none")
                 seen.add(at)
                 at = parents[at]
         return tuple(parents)
@@ -154,9 +152,7 @@ class Skeleton:
         """Bone lengths (bone,) of the rest pose in metres, or None where no rest pose is known."""
         if self.rest_offsets is None:
             return None
-        return np.linalg.norm(
-            np.asarray(self.rest_offsets)[[child for _, child in self.edges]], axis=-1
-        ).reshape(-1)
+        return np.linalg.norm(np.asarray(self.rest_offsets)[[child for _, child in self.edges]], axis=-1).reshape(-1)
 
     def bone_lengths_of(self, positions: np.ndarray) -> np.ndarray:
         """Lengths (frame, bone) of the bones in positions (frame, joint, 3), in the unit of the positions."""
@@ -179,9 +175,7 @@ class Skeleton:
             while at != -1 and at not in kept:
                 at = parents[at]
             ancestors.append(at)
-        rigid = self.rest_offsets is not None and all(
-            a == parents[j] for j, a in zip(kept, ancestors, strict=True)
-        )
+        rigid = self.rest_offsets is not None and all(a == parents[j] for j, a in zip(kept, ancestors, strict=True))
         offsets = np.asarray(self.rest_offsets)[kept] if rigid else None
         return Skeleton.from_parents(names, [-1 if a == -1 else kept.index(a) for a in ancestors], offsets)
 
@@ -220,8 +214,7 @@ STANDARDS = {
     + """lclavicle<thorax lhumerus lradius lwrist lhand lfingers lthumb<lwrist
     rclavicle<thorax rhumerus rradius rwrist rhand rfingers rthumb<rwrist""",
     # cmu31 without the six hand and finger joints (Yang et al. 2020, Sec. IV-B).
-    "cmu25": _CMU_LEGS_AND_TRUNK
-    + "lclavicle<thorax lhumerus lradius lwrist rclavicle<thorax rhumerus rradius rwrist",
+    "cmu25": _CMU_LEGS_AND_TRUNK + "lclavicle<thorax lhumerus lradius lwrist rclavicle<thorax rhumerus rradius rwrist",
     # The 21 joints of cmu31 that the learned systems keep (Li et al. 2020, Fig. 3; Choi et al. 2024, Fig. 2).
     "cmu21": """root lhipjoint lfemur ltibia ltoes rhipjoint<root rfemur rtibia rtoes
     lowerback<root upperback thorax upperneck

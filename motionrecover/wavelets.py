@@ -42,7 +42,9 @@ def filters(wavelet: str) -> np.ndarray:
     shifts = range(0, len(low), 2)
     error = np.array([low[: len(low) - s] @ low[s:] for s in shifts]) - (np.arange(len(low) // 2) == 0)
     if not bank.orthogonal or abs(error).max() > 1e-8:  # dmey calls itself orthogonal and is off by 2e-3
-        raise ValueError(f"received wavelet {wavelet!r}: its filters are not orthogonal, use a Daubechies, symlet or coiflet")
+        raise ValueError(
+            f"received wavelet {wavelet!r}: its filters are not orthogonal, use a Daubechies, symlet or coiflet"
+        )
     # PyWavelets tabulates some filters (sym3, sym20) to 1e-11 only: one Gauss-Newton step onto the conditions
     # sum_n h[n] h[n + 2k] = (k == 0) brings the error to rounding.
     jacobian = np.array([np.pad(low[s:], (0, s)) + np.pad(low[: len(low) - s], (s, 0)) for s in shifts])
