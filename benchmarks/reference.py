@@ -1,4 +1,4 @@
-"""Algorithm 1 of Yang et al. 2020 in plain NumPy and SciPy: the oracle of the tests and the yardstick of the benchmarks.
+"""Algorithm 1 of Yang et al. 2020 in plain NumPy and SciPy: oracle of the tests, yardstick of the benchmarks.
 
 Written from the paper, on the 3T x S matrix, with what a reader would reach for: `numpy.linalg.svd`, `pywt` along each
 column, a sparse Jacobian and `scipy.sparse.linalg.cg`. It shares no code with the package. The number of frames must

@@ -40,12 +40,11 @@ class Intake:
     def problem(self, dtype: np.dtype, stored: int) -> Problem:
         """The solver's problem, padded to `stored` frames."""
         frames = len(self.merged)
-        pad = stored - frames
+        pad = (0, stored - frames)
+        positions = (self.merged - self.origin).transpose(2, 1, 0)
         return Problem(
-            positions=jnp.asarray(
-                np.pad((self.merged - self.origin).transpose(2, 1, 0), ((0, 0), (0, 0), (0, pad))), dtype
-            ),
-            weights=jnp.asarray(np.pad(self.merged_weights.T, ((0, 0), (0, pad))), dtype),
+            positions=jnp.asarray(np.pad(positions, ((0, 0), (0, 0), pad)), dtype),
+            weights=jnp.asarray(np.pad(self.merged_weights.T, ((0, 0), pad)), dtype),
             bone_lengths=jnp.asarray(self.edge_lengths, dtype),
             frames=jnp.asarray(frames, jnp.int32),
             edges=self.edges,
@@ -57,7 +56,7 @@ class Intake:
 
 
 def positions_from(matrix: np.ndarray) -> np.ndarray:
-    """(frame, joint, 3) from the papers' motion matrix (3 frames, joints): rows x, y, z of frame 1, then of frame 2, ..."""
+    """(frame, joint, 3) from the papers' motion matrix (3 frames, joints): rows x, y, z of frame 1, 2, ..."""
     return matrix.reshape(-1, 3, matrix.shape[1]).transpose(0, 2, 1)
 
 
@@ -146,7 +145,8 @@ def _positions(data, skeleton):
     if np.isinf(data).any():
         frame, joint, _ = np.argwhere(np.isinf(data))[0]
         raise ValueError(
-            f"received an infinite position at frame {frame}, joint {skeleton.names[joint]!r}: mark missing samples as NaN"
+            f"received an infinite position at frame {frame}, joint {skeleton.names[joint]!r}: "
+            "mark missing samples as NaN"
         )
     return data.astype(np.float64)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,7 +31,7 @@ class Motion:
     positions: np.ndarray
     skeleton: Skeleton
     fps: float
-    observed: np.ndarray = field(default=None)  # pyright: ignore[reportArgumentType]  filled in below
+    observed: np.ndarray = None  # pyright: ignore[reportAssignmentType]  # filled in below
     confidence: np.ndarray | None = None
     unit: float = 1.0
     up: str = "y"

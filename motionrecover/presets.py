@@ -13,15 +13,15 @@ from motionrecover.solver import Problem, Solver
 
 @dataclass(frozen=True)
 class Preset:
-    """Settings of the solver for data in metres. Other settings: `dataclasses.replace(PRESETS[name], field=value)`.
+    """Settings of the solver for data in metres; `dataclasses.replace(PRESETS[name], field=value)` gives others.
 
     `initialisation="printed"` runs the letter of Algorithm 1 in Yang et al. 2020: A = 0, coordinates as they come,
-    rho = 0.5 growing by 1.3 without end. On every CMU clip tried that fails: the penalty outgrows the problem before the
-    split variables agree, and the answer is decimetres off (`docs/reproduction.md`). `initialisation="data"` therefore
-    changes three things, none of them in the model: A starts at D; the first penalty is `penalty` / |D|_2 (Lin, Chen &
-    Ma, arXiv:1009.5055, Sec. 4.2), so that it follows the scale and length of the clip; and growth ends at
-    `reach` and `isometry_penalty_max`, where the iteration can converge and the residuals mean something. It also puts the origin at the
-    median of all observed samples, because the nuclear norm and the wavelet term of Eq. 7 depend on the origin.
+    rho = 0.5 growing by 1.3 without end. On every CMU clip tried that fails: the penalty outgrows the problem before
+    the split variables agree, and the answer is decimetres off (`docs/reproduction.md`). `initialisation="data"`
+    changes three things, none of them in the model: A starts at D; the first penalty is `penalty` / |D|_2 (Lin, Chen
+    & Ma, arXiv:1009.5055, Sec. 4.2), so that it follows the scale and length of the clip; and growth ends at `reach`
+    and `isometry_penalty_max`, where the iteration can converge and the residuals mean something. It also puts the
+    origin at the median of all observed samples, because the nuclear norm and the wavelet term of Eq. 7 depend on it.
     """
 
     name: str
@@ -42,15 +42,15 @@ class Preset:
     reach: float = 0.02
     """Metres. Growth of rho_1 and rho_3 ends at lambda / reach: the residual that one step can still absorb."""
     # The isometry term is not convex: its penalty must exceed the negative curvature gamma |F| of a shortened bone, or
-    # Gauss-Newton steps overshoot for ever; the other two converge fastest below it. From 8 to 1918 frames, (lambda / 2 cm,
-    # 10, lambda / 2 cm) converges to 1e-3 in 46 to 500 steps on all of six clips at 0, 5 and 20 % corruption.
+    # Gauss-Newton steps overshoot for ever; the other two converge fastest below it. From 8 to 1918 frames,
+    # (lambda / 2 cm, 10, lambda / 2 cm) ends within 500 steps on all of six clips at 0, 5 and 20 % corruption.
     isometry_penalty_max: float = 10.0
     """Where the growth of rho_2 ends, in 1 / m, or at lambda / reach if that is more."""
     tolerance: float = 1e-3
     """Both residuals must fall below it. AJE on CMU clips settles to 1 % before."""
     max_steps: int = 1000
-    # With the true bone lengths, 14 % of 132 corrupted clips of 1 frame and 3 % of 138 of 2 frames came back worse than they
-    # went in (CMU subjects 05 and 09, 5 to 80 %); from 3 frames on none of 315 did.
+    # With the true bone lengths, 14 % of 132 corrupted clips of 1 frame and 3 % of 138 of 2 frames came back worse
+    # than they went in (CMU subjects 05 and 09, 5 to 80 %); from 3 frames on none of 315 did.
     min_frames: int = 3
     """Shorter clips are refused: the model learns from time."""
     initialisation: Literal["data", "printed"] = "data"
@@ -95,9 +95,11 @@ PRESETS = {
     for preset in (
         # Wang, Li, Wu, Lai & Yang, "3-D motion recovery via low rank matrix analysis", VCIP 2016.
         Preset("lowrank_wang2016"),
-        # Li, Wang, Lai, Yang & Wu, "3-D motion recovery via low rank matrix restoration on articulation graphs", ICME 2017.
+        # Li, Wang, Lai, Yang & Wu, "3-D motion recovery via low rank matrix restoration on articulation graphs",
+        # ICME 2017.
         Preset("isometry_li2017", isometry_weight=100.0),
-        # Yang, Guo, Li, Wang, Lai & Wu, "Spatio-temporal reconstruction for 3D motion recovery", IEEE TCSVT 30(6), 2020.
+        # Yang, Guo, Li, Wang, Lai & Wu, "Spatio-temporal reconstruction for 3D motion recovery", IEEE TCSVT 30(6),
+        # 2020.
         Preset("str_yang2020", isometry_weight=100.0, smoothness_weight=0.01),
     )
 }

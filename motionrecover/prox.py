@@ -32,7 +32,7 @@ def singular_value_threshold(
     float64, the Gram matrix alone is formed and decomposed in it (1e-8 |X|_2). Subtracting the clipped part bounds what
     remains: a direction whose value is misjudged moves by at most `threshold`. Values are in ascending order.
     """
-    wide = x.astype(jnp.float64 if jax.config.jax_enable_x64 else x.dtype)
+    wide = x.astype(jax.dtypes.canonicalize_dtype(jnp.float64))
     gram = jnp.einsum("cit,cjt->ij", wide, wide, precision="highest")
     eigenvalues, vectors = jnp.linalg.eigh(gram)
     values, vectors = jnp.sqrt(jnp.maximum(eigenvalues, 0)).astype(x.dtype), vectors.astype(x.dtype)

@@ -30,7 +30,7 @@ class Recovery:
     positions: np.ndarray
     """A as (frame, joint, 3)."""
     outliers: np.ndarray
-    """E (frame, joint, 3): what the model takes for gross error in the observed samples; 0 where nothing was observed."""
+    """E (frame, joint, 3): what the model takes for gross error in observed samples; 0 where nothing was observed."""
     weights: np.ndarray
     """(frame, joint) in [0, 1]: how far each sample was trusted. Confidence times the Huber weight of the distance it
     was moved, 1 up to 1 cm and 1 cm / distance beyond (Huber, "Robust Statistics", 1981, Sec. 7.3); 0 where missing."""
@@ -47,6 +47,10 @@ class Recovery:
     """One row a step."""
     seconds: dict[str, float]
     """`compile` and `run`, apart. `compile` is 0 when a program for these shapes was at hand."""
+
+    def __repr__(self) -> str:
+        frames, joints, _ = self.positions.shape
+        return f"Recovery({frames} frames, {joints} joints, {self.steps} steps: {self.message})"
 
     @property
     def matrix(self) -> np.ndarray:
@@ -92,8 +96,8 @@ def recover(
     Raises `ValueError`, in one sentence, for input that cannot be used: see `intake.take_in`.
     """
     preset = find(preset)
-    dtype = np.dtype(np.float32 if dtype is None else dtype)
-    if dtype not in (np.float32, np.float64):
+    dtype = np.dtype("float32" if dtype is None else dtype)
+    if dtype.name not in ("float32", "float64"):
         raise ValueError(f"received dtype {dtype}: give float32 or float64")
     if fps is not None and not (np.isfinite(fps) and fps > 0):
         raise ValueError(f"received a frame rate of {fps}: give frames a second, above 0")
@@ -112,7 +116,8 @@ def recover(
     )
     if len(clip.data) < preset.min_frames:
         raise ValueError(
-            f"received a clip of {len(clip.data)} frames: {preset.name} learns from time, give at least {preset.min_frames}"
+            f"received a clip of {len(clip.data)} frames: {preset.name} learns from time, "
+            f"give at least {preset.min_frames}"
         )
 
     # float64 is allowed in both cases: see `prox.singular_value_threshold`.

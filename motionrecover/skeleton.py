@@ -99,13 +99,11 @@ class Skeleton:
         names = table["names"]
         if "edges" in table:
             return cls(names, table["edges"])
-        parents = [
-            -1 if p == "" else names.index(p) if isinstance(p, str) and p in names else p for p in table["parents"]
-        ]
-        if any(isinstance(p, str) for p in parents):
-            unknown = next(p for p in parents if isinstance(p, str))
-            raise ValueError(f"{path} names the parent {unknown!r}, which is none of its joints")
-        return cls.from_parents(names, parents)
+        index = {name: joint for joint, name in enumerate(names)} | {"": -1}
+        unknown = [p for p in table["parents"] if isinstance(p, str) and p not in index]
+        if unknown:
+            raise ValueError(f"{path} names the parent {unknown[0]!r}, which is none of its joints")
+        return cls.from_parents(names, [index[p] if isinstance(p, str) else int(p) for p in table["parents"]])
 
     @classmethod
     def standard(cls, name: str) -> Skeleton:
@@ -141,6 +139,11 @@ class Skeleton:
     def components(self) -> list[list[int]]:
         """Groups of joints that bones connect, each sorted, in order of their first joint."""
         return components(self.edges, len(self.names))
+
+    @property
+    def is_forest(self) -> bool:
+        """Whether the bones close no cycle, so that leaf-to-root elimination applies."""
+        return is_forest(self.edges, len(self.names))
 
     @property
     def bone_names(self) -> tuple[str, ...]:

@@ -34,10 +34,10 @@ def filters(wavelet: str) -> np.ndarray:
 
     Raises `ValueError` for an unknown or non-orthogonal wavelet.
     """
-    known = pywt.wavelist(kind="discrete")
+    known = pywt.wavelist(kind="discrete")  # pyright: ignore[reportAttributeAccessIssue]
     if wavelet not in known:
         raise ValueError(f"received wavelet {wavelet!r}: give one of {', '.join(known)}")
-    bank = pywt.Wavelet(wavelet)
+    bank = pywt.Wavelet(wavelet)  # pyright: ignore[reportAttributeAccessIssue]
     low = np.asarray(bank.dec_lo)
     shifts = range(0, len(low), 2)
     error = np.array([low[: len(low) - s] @ low[s:] for s in shifts]) - (np.arange(len(low) // 2) == 0)

@@ -4,9 +4,12 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import jax
 import pytest
 
 from motionrecover.io import MotionFormatError
+
+jax.config.update("jax_enable_x64", True)  # float32 is asked for where it is tested
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,8 @@ def estimate_bone_lengths(lengths: np.ndarray) -> np.ndarray:
     The median of the shortest interval that holds half of the frames (Rousseeuw, "Least median of squares regression",
     JASA 79, 1984: the location of the shorth). Corruption of an end makes a bone longer far more often than shorter,
     which biases a median over all frames; the shorth ignores up to half of the frames whatever they say. With more
-    than half of a bone's frames corrupted no such estimate is safe: give the lengths then. NaN for a bone without a frame.
+    than half of a bone's frames corrupted no such estimate is safe: give the lengths then. A bone without a frame
+    gets NaN.
     """
     lengths = np.asarray(lengths, np.float64)
     estimates = np.full(lengths.shape[1], np.nan)

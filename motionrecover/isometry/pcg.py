@@ -28,8 +28,8 @@ def solve(
 
     `isometry_weight` is gamma >= 0 and `penalty` is rho > 0.
 
-    Stops when every frame's residual norm is below `tolerance` times the norm of its b, or after `max_steps`; 3 x joints
-    steps are exact but for rounding. A frame whose b is not finite stops at once and stays as it is.
+    Stops when every frame's residual norm is below `tolerance` times the norm of its b, or after `max_steps`;
+    3 x joints steps are exact but for rounding.
     """
     _, joints, frames = b.shape
     i, j = ends(edges)

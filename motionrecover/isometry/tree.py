@@ -7,7 +7,7 @@ c leaves
 
     w = kappa / (1 + kappa d^T M_c^-1 d),    M_p += w d d^T,    b_p += w d (d^T M_c^-1 b_c)
 
-to its parent: again a rank-one block, so nothing fills in and a frame costs O(joints). From the root back to the leaves,
+to its parent: again a rank-one block, so nothing fills in and a frame costs O(joints). From the root to the leaves,
 
     delta_c = M_c^-1 b_c - M_c^-1 d w (d^T M_c^-1 b_c - d^T delta_p).
 
@@ -18,7 +18,6 @@ tridiagonal systems); Featherstone, "Rigid Body Dynamics Algorithms", Ch. 6 (the
 
 from functools import cache
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 

@@ -30,31 +30,32 @@ from motionrecover import wavelets
 from motionrecover.isometry import pcg, tree
 from motionrecover.isometry.objective import bone_vectors, residual, transpose_product
 from motionrecover.prox import singular_value_threshold, soft_threshold
+from motionrecover.skeleton import is_forest
 from motionrecover.solver.problem import Problem
 from motionrecover.solver.result import Result
-from motionrecover.skeleton import is_forest
 
 Positions = Float[Array, "3 joint frame"]
+Coefficients = Float[Array, "3 joint coefficient"]
 Scalar = Float[Array, ""]
 
 
 class State(eqx.Module):
     """The seven variables and three penalties, and two by-products of a step that the next one needs again.
 
-    Variables of a term that is left out are None.
+    Variables of a term that is left out are empty.
     """
 
     a: Positions
     e: Positions
-    n: Positions | None
-    c: Float[Array, "3 joint coefficient"] | None
+    n: Positions
+    c: Coefficients
     z1: Positions
-    z2: Positions | None
-    z3: Float[Array, "3 joint coefficient"] | None
+    z2: Positions
+    z3: Coefficients
     penalty: Float[Array, "3"]
-    wa: Float[Array, "3 joint coefficient"] | None
+    wa: Coefficients
     """W A."""
-    gradient: Positions | None
+    gradient: Positions
     """gamma J^T F at N."""
 
 
@@ -101,12 +102,12 @@ class Solver(eqx.Module):
     def init(self, problem: Problem) -> State:
         """Line 2 of Algorithm 1: E = Z = 0, N = D, and A = D (or 0 where `zero_start`)."""
         d = problem.positions
-        a = jnp.zeros_like(d) if self.zero_start else d
-        e = jnp.zeros_like(d)
-        wa = self._wavedec(problem, a) if self.smoothness else None
-        c = None if wa is None else jnp.zeros_like(wa)
-        n, z2, gradient = (d, e, self._linearise(problem, d)[1]) if self.isometry else (None, None, None)
-        return State(a, e, n, c, e, z2, c, self.penalty, wa, gradient)
+        zero, empty = jnp.zeros_like(d), d[..., :0]
+        a = zero if self.zero_start else d
+        n, z2, gradient = (d, zero, self._linearise(problem, d)[1]) if self.isometry else (empty, empty, empty)
+        wa = self._wavedec(problem, a) if self.smoothness else empty
+        c = jnp.zeros_like(wa)
+        return State(a, zero, n, c, zero, z2, c, self.penalty, wa, gradient)
 
     def step(self, problem: Problem, state: State) -> tuple[State, Info]:
         """One pass through lines 4-17.

@@ -1,0 +1,272 @@
+"""The page docs/reproduction.md from the results: every number between its markers comes from there.
+
+A block of the page lies between `<!-- name -->` and `<!-- end -->`, with a name of `BLOCKS`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.studies.yang2020_figures import draw
+from motionrecover.io import write_beside
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "reproduction.md"
+
+# Yang et al. 2020, in thousandths of the unit: metres in Tables II and V, inches in Table III; 5, 10, 15, 20, 80 %.
+TABLE2 = {
+    "05": {
+        "lowrank_wang2016": (66, 70, 73, 75, 93),
+        "isometry_li2017": (2, 5, 8, 11, 74),
+        "str_yang2020": (2, 5, 7, 9, 64),
+    },
+    "09": {
+        "lowrank_wang2016": (76, 79, 83, 85, 122),
+        "isometry_li2017": (5, 7, 10, 14, 73),
+        "str_yang2020": (4, 5, 6, 8, 63),
+    },
+}
+TABLE3 = {
+    "05_01": {
+        "lowrank_wang2016": (58, 125, 185, 251, 904),
+        "isometry_li2017": (30, 77, 117, 170, 743),
+        "str_yang2020": (13, 33, 57, 85, 564),
+    },
+    "05_14": {
+        "lowrank_wang2016": (77, 156, 229, 312, 1028),
+        "isometry_li2017": (45, 97, 154, 215, 858),
+        "str_yang2020": (17, 31, 55, 95, 582),
+    },
+}
+TABLE5 = (2, 5, 7, 9, 44)
+TABLE6 = {
+    272: {"lowrank_wang2016": 1.0983, "isometry_li2017": 22.7150, "str_yang2020": 24.7055},
+    584: {"lowrank_wang2016": 1.4027, "isometry_li2017": 47.5670, "str_yang2020": 60.7618},
+    1100: {"lowrank_wang2016": 4.4831, "isometry_li2017": 96.0281, "str_yang2020": 148.7628},
+    6784: {"lowrank_wang2016": 23.9200, "isometry_li2017": 478.3740, "str_yang2020": 586.2765},
+}
+NAMES = {"lowrank_wang2016": "Wang 2016", "isometry_li2017": "Li 2017", "str_yang2020": "Yang 2020"}
+PEERS = {
+    "nothing": "do nothing",
+    "median 5": "running median, 5 frames",
+    "median 15": "running median, 15 frames",
+    "median 31": "running median, 31 frames",
+    "oracle spline": "cubic spline through the intact samples, **named by an oracle**",
+}
+VARIANTS = {
+    "nothing": "do nothing",
+    "letter": "the letter: A = 0, ρ = 0.5 growing by 1.3 without end, coordinates as they come",
+    "from data": "... but A = D",
+    "centred": "... and the origin at the median sample",
+    "preset": "... and ρ from the data, growth bounded: the preset",
+    "preset from zero": "preset, but A = 0",
+    "preset not centred": "preset, but coordinates as they come",
+    "preset in float64": "preset in float64",
+    "bones estimated": "preset, bone lengths estimated from the corrupted clip",
+}
+READINGS = {
+    "metres": "metres",
+    "inches": "inches",
+    "file": "units of the file",
+}
+
+
+def write(results: dict) -> None:
+    """Renders the page in place and draws its figures."""
+    with write_beside(PAGE, overwrite=True) as temporary:
+        temporary.write_text(render(results, PAGE.read_text()))
+    draw(results, PAGE.parent / "figures")
+
+
+def render(results: dict, page: str) -> str:
+    """The page with every block written anew. Raises `ValueError` for a marker without a block."""
+
+    def block(found: re.Match) -> str:
+        if found[1] not in BLOCKS:
+            raise ValueError(f"the page asks for {found[1]!r}: the blocks are {', '.join(BLOCKS)}")
+        return f"<!-- {found[1]} -->\n{BLOCKS[found[1]](results)}\n<!-- end -->"
+
+    return re.sub(r"<!-- (\w+) -->\n.*?<!-- end -->", block, page, flags=re.DOTALL)
+
+
+def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
+    head = list(head)
+    lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _rates(results: dict) -> list[str]:
+    return [f"{rate} %" for rate in results["table2"]["rates"]]
+
+
+def _mm(values: Iterable[float]) -> list[str]:
+    """Two significant figures, but no decimals from 10 on."""
+    return [
+        f"{value:.0f}" if value >= 9.95 else f"{value:.1f}" if value >= 0.095 else f"{value:.2f}" for value in values
+    ]
+
+
+def _clips(results: dict, subject: str, clean: bool = False) -> list[dict]:
+    rows = [row for row in results["table2"]["clips"] if row["clip"].startswith(subject)]
+    return [row for row in rows if not (clean and row["glitch"])]
+
+
+def _mean(rows: list[dict], method: str, measure: str = "aje") -> np.ndarray:
+    return np.mean([row[measure][method] for row in rows], 0)
+
+
+def _table2(results: dict, subject: str) -> str:
+    rows, clean, lines = _clips(results, subject), _clips(results, subject, clean=True), []
+    for preset, name in NAMES.items():
+        lines += [
+            [f"**{name}, printed**", *(f"**{value}**" for value in TABLE2[subject][preset])],
+            [f"`{preset}`", *_mm(_mean(rows, preset))],
+            ["... clips without glitches", *_mm(_mean(clean, preset))],
+        ]
+        if preset == "str_yang2020":
+            lines.append(["... in pieces of at most 300 frames", *_mm(_mean(rows, "str_yang2020 in pieces"))])
+        lines.append(["... stopped early: A = D, ρ as printed", *_mm(_mean(rows, f"{preset} early"))])
+    lines += [[label, *_mm(_mean(rows, peer))] for peer, label in PEERS.items()]
+    return _table([f"subject {subject}, {len(rows)} clips ({len(clean)} without glitches)", *_rates(results)], lines)
+
+
+def _entries(results: dict) -> str:
+    rows = [row["entries"] for row in _clips(results, "09")]
+    lines = [[f"`{preset}`", *_mm(_mean(rows, preset))] for preset in NAMES]
+    lines += [[PEERS[peer], *_mm(_mean(rows, peer))] for peer in ("nothing", "oracle spline")]
+    return _table(["subject 09, single entries", *_rates(results)], lines)
+
+
+def _variants(results: dict) -> str:
+    study = results["variants"]
+    rows, count = study["clips"], len(study["rates"])
+    lines = []
+    for run, label in VARIANTS.items():
+        line = [label, *_mm(_mean(rows, run))]
+        if run in rows[0]["energy"]:
+            # Energies compare only under the same origin.
+            base = "preset not centred" if run in ("letter", "from data", "preset not centred") else "preset"
+            ratio = np.mean([np.divide(row["energy"][run], row["energy"][base]) for row in rows], 0)
+            line += [f"{x:.2f}" for x in ratio] + [f"{np.mean([row['steps'][run] for row in rows]):.0f}"]
+        else:
+            line += [""] * (count + 1)
+        lines.append(line)
+    rates = [f"{rate} %" for rate in study["rates"]]
+    return _table(["", *rates, *(f"energy {rate}" for rate in rates), "steps"], lines)
+
+
+def _length(results: dict) -> str:
+    study, lines = results["length"], []
+    for row in study["rows"]:
+        line = [f"{row['clip']}, {row['frames']} frames"]
+        for factor in ("1", "2", "4"):
+            line += _mm(row["aje"][factor])
+        lines.append(line + [f"{ratio:.2f}" for ratio in row["energy"]])
+    factors = {"1": "λ = 1/√T", "2": "2/√T", "4": "4/√T"}
+    head = [f"{label}, {rate} %" for label in factors.values() for rate in study["rates"]]
+    return _table(["", *head, *(f"energy {rate} %" for rate in study["rates"])], lines)
+
+
+def _worse(results: dict) -> str:
+    """Counts of clips that came back worse than they went in, and of clips where a peer is better."""
+    rows = results["table2"]["clips"]
+
+    def count(method: str, other: str) -> list[str]:
+        return [str(x) for x in np.sum([np.greater(r["aje"][method], r["aje"][other]) for r in rows], 0)]
+
+    lines = [[f"`{preset}` worse than its input", *count(preset, "nothing")] for preset in NAMES]
+    lines += [
+        [f"`str_yang2020` worse than the {PEERS[f'median {n}']}", *count("str_yang2020", f"median {n}")]
+        for n in (5, 15, 31)
+    ]
+    lines += [
+        ["`str_yang2020` worse than the oracle spline", *count("str_yang2020", "oracle spline")],
+        ["`str_yang2020` worse than stopped early", *count("str_yang2020", "str_yang2020 early")],
+        ["`str_yang2020` worse than in pieces", *count("str_yang2020", "str_yang2020 in pieces")],
+    ]
+    return _table([f"of {len(rows)} clips", *_rates(results)], lines)
+
+
+def _table5(results: dict) -> str:
+    (row,) = (row for row in results["table2"]["clips"] if row["clip"] == "05_01")
+    lines = [["**Yang 2020, printed**", *(f"**{value}**" for value in TABLE5)]]
+    lines += [
+        [label, *_mm(row["aje"][method])]
+        for method, label in {
+            "str_yang2020": "`str_yang2020`",
+            "str_yang2020 in pieces": "... in pieces of at most 300 frames",
+            "str_yang2020 early": "... stopped early: A = D, ρ as printed",
+            "median 5": PEERS["median 5"],
+            "nothing": PEERS["nothing"],
+        }.items()
+    ]
+    return _table(["05_01", *_rates(results)], lines)
+
+
+def _table3(results: dict) -> str:
+    study, parts = results["table3"], []
+    for clip, printed in TABLE3.items():
+        lines = []
+        for preset, name in NAMES.items():
+            lines.append([f"**{name}, printed**", *(f"**{value / 1000:.3f}**" for value in printed[preset])])
+            for method, what in ((preset, f"`{preset}`"), (f"{preset} early", "... stopped early")):
+                for reading, label in READINGS.items():
+                    (row,) = (r for r in study["rows"] if (r["clip"], r["reading"]) == (clip, reading))
+                    lines.append([f"{what}, {label}", *(f"{x:.3f}" for x in row["aje"][method])])
+        (row,) = (r for r in study["rows"] if (r["clip"], r["reading"]) == (clip, "metres"))
+        lines.append(["do nothing", *(f"{x:.3f}" for x in row["aje"]["nothing"])])
+        parts.append(_table([clip, *_rates(results)], lines))
+    return "\n\n".join(parts)
+
+
+def _table6(results: dict) -> str:
+    lines = []
+    for row in results["table6"]:
+        seconds, printed = row["seconds"], TABLE6.get(row["frames"], {})
+        ratio = row["reference"] / seconds["str_yang2020"]
+        lines.append(
+            [
+                str(row["frames"]),
+                f"**{ratio:.0f}**",
+                *(f"{seconds[preset] / seconds['lowrank_wang2016']:.1f}" for preset in list(NAMES)[1:]),
+                *(f"{seconds[preset]:.3f}" for preset in NAMES),
+                f"{row['compile']['str_yang2020']:.1f}",
+                f"{row['reference']:.1f}",
+                f"{row['until_done']['seconds']:.2f} ({row['until_done']['steps']})",
+                *(f"{printed[preset]:.1f}" for preset in NAMES),
+            ]
+        )
+    head = [
+        "frames",
+        "reference / STR",
+        "Li / Wang",
+        "STR / Wang",
+        "Wang s",
+        "Li s",
+        "STR s",
+        "compile s",
+        "reference s",
+    ]
+    return _table([*head, "STR until done s (steps)", "printed Wang s", "printed Li s", "printed Yang s"], lines)
+
+
+def _made_with(results: dict) -> str:
+    versions = ", ".join(f"{name} {number}" for name, number in results["versions"].items())
+    return f"Measured with {versions}; seed {results['seed']}."
+
+
+BLOCKS = {
+    "table2_05": lambda results: _table2(results, "05"),
+    "table2_09": lambda results: _table2(results, "09"),
+    "entries": _entries,
+    "variants": _variants,
+    "length": _length,
+    "worse": _worse,
+    "table5": _table5,
+    "table3": _table3,
+    "table6": _table6,
+    "made_with": _made_with,
+}

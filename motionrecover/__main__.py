@@ -1,0 +1,7 @@
+"""`python -m motionrecover` is the command `motionrecover`."""
+
+import sys
+
+from motionrecover.cli import main
+
+sys.exit(main())

@@ -1,0 +1,82 @@
+"""The command line: `motionrecover recover walk.bvh -o walk.npz`.
+
+Exit codes: 0 done, 1 no usable answer, 2 something is wrong with a file or an option, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+import typer
+
+from motionrecover import __version__
+from motionrecover.cli import commands, terminal
+from motionrecover.recover import RecoveryError
+
+# Older versions of typer build on click, newer ones on a copy of it: this is the UsageError of either.
+_UsageError: Any = typer.BadParameter.__mro__[1]
+
+app = typer.Typer(
+    context_settings={"help_option_names": ["-h", "--help"]}, add_completion=False, pretty_exceptions_enable=False
+)
+for command in (
+    commands.demo,
+    commands.info,
+    commands.recover,
+    commands.evaluate,
+    commands.corrupt,
+    commands.convert,
+):
+    app.command()(command)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        print(f"motionrecover {__version__}")
+        raise typer.Exit
+
+
+@app.callback(invoke_without_command=True)
+def _start(
+    context: typer.Context,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+) -> None:
+    """Recover the human motion that really happened from recordings with jitter, spikes and missing joints.
+
+    Start with `motionrecover demo`, then `motionrecover info FILE` on a file of yours.
+    """
+    if context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line with these arguments, or those of the process, and return the exit code."""
+    with warnings.catch_warnings():
+        terminal.show_warnings_as_notes()
+        try:
+            code = app(None if argv is None else list(argv), prog_name="motionrecover", standalone_mode=False) or 0
+        except _UsageError as error:
+            help_of = error.ctx.command_path if error.ctx else "motionrecover"
+            code = _fail(f"{error.format_message().rstrip('.')} (see {help_of} --help)", 2)
+        except RecoveryError as error:
+            code = _fail(error, 1)
+        except (ValueError, OSError, MemoryError) as error:
+            code = _fail(error, 2)
+        except (KeyboardInterrupt, typer.Abort):
+            code = 130
+    sys.stdout.flush()
+    if code == 130 and argv is None:
+        os._exit(code)  # An ordinary exit waits for the solver, and JAX crashes while its compilation is cut off.
+    return code
+
+
+def _fail(error: Exception | str, code: int) -> int:
+    """Say what went wrong on one line."""
+    print("error:", " ".join(str(error).split()), file=sys.stderr)
+    return code

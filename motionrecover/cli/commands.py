@@ -1,0 +1,315 @@
+"""The commands. Each one's docstring is its help."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import typer
+
+from motionrecover import __version__, presets
+from motionrecover.cli import arguments as given
+from motionrecover.cli import facts, terminal
+from motionrecover.corrupt import PROTOCOLS, apply
+from motionrecover.figures import recovery_figure
+from motionrecover.intake import fill
+from motionrecover.io import load, save, write_beside
+from motionrecover.io.border import counted
+from motionrecover.motion import Motion
+from motionrecover.recover import TRUST, Recovery
+from motionrecover.recover import recover as run_recovery
+from motionrecover.synthesize import synthesize
+
+_PRESET = "str_yang2020"
+
+
+def recover(
+    path: given.Input,
+    output: given.Output,
+    preset: Annotated[str, typer.Option(metavar="NAME", help=f"Model: {', '.join(presets.PRESETS)}.")] = _PRESET,
+    bone_lengths: Annotated[
+        Literal["estimate", "rest"],
+        typer.Option(help="Bone lengths from the clip itself, or from the rest pose in the file."),
+    ] = "estimate",
+    max_steps: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop after so many steps.")] = None,
+    dtype: Annotated[Literal["float32", "float64"], typer.Option(help="Precision of the computation.")] = "float32",
+    truth: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The true motion, if known, to measure the errors against.")
+    ] = None,
+    figure: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw a picture too: .png, .pdf or .svg.")] = None,
+    overwrite: given.Overwrite = False,
+    format: given.Format = None,
+    skeleton: given.SkeletonName = None,
+    unit: given.Unit = None,
+    up: given.Up = None,
+    fps: given.Fps = None,
+    skip_first: given.SkipFirst = False,
+    json: given.Json = False,
+    quiet: given.Quiet = False,
+    verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print the solver's trace.")] = False,
+) -> None:
+    """Recover the motion behind a corrupted recording: spikes and jitter removed, missing joints filled in.
+
+    The answer has the frames and joints of IN, in metres with y up. --truth is read with the same options as IN.
+    """
+    _hush(quiet)
+    presets.find(preset)
+    given.check_output(output, overwrite)
+    if figure is not None:
+        given.check_figure(figure, overwrite)
+    asked = {"skeleton": skeleton, "unit": unit, "up": up, "fps": fps, "skip_first": skip_first}
+    clip = load(path, format=format, **asked)
+    if not clip.observed.any():
+        raise ValueError(f"{path} holds no measured sample: there is nothing to recover from")
+    reference = None if truth is None else given.matched(load(truth, **asked), clip, truth, path)[0]
+    lengths = clip.skeleton.rest_lengths if bone_lengths == "rest" else None
+    if bone_lengths == "rest" and lengths is None:
+        raise ValueError(f"{path} brings no rest pose to take bone lengths from: use --bone-lengths estimate")
+    recovery, recovered = _recover(
+        clip, preset, quiet, bone_lengths=lengths, max_steps=max_steps, dtype=dtype, verbose=verbose
+    )
+    save(recovered, output, overwrite=overwrite)
+    if figure is not None:
+        _draw(reference, clip, recovered, figure, overwrite)
+
+    moved = np.linalg.norm(recovered.positions - clip.positions, axis=-1)[clip.observed]
+    clips = {"before": fill(facts.measured(clip)), "after": recovered.positions}
+    found = {
+        "input": str(path),
+        "output": str(output),
+        "figure": None if figure is None else str(figure),
+        "frames": len(clip),
+        "joints": len(clip.names),
+        "preset": preset,
+        "bone_lengths": bone_lengths,
+        **facts.verdict(recovery),
+        **facts.measures(clips, clip.skeleton, recovery.bone_lengths, reference),
+        "changed_share": float((moved > TRUST).mean()),
+        "missing_filled": int((~clip.observed).sum()),
+    }
+    if json:
+        terminal.print_json(found)
+    elif not quiet:
+        print(f"{path}: {facts.size(clip)}")
+        print(facts.verdict_line(recovery))
+        print()
+        facts.print_measures(found)
+        print()
+        print(f"moved by more than {100 * TRUST:.0f} cm: {terminal.percent(found['changed_share'])} of the samples")
+        if found["missing_filled"]:
+            print(f"missing samples filled in: {found['missing_filled']} (`before` has straight lines there)")
+        print("wrote", " and ".join(str(each) for each in (output, figure) if each is not None))
+
+
+def demo(
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder to write into.")] = Path("demo"),
+    overwrite: given.Overwrite = False,
+    seconds: Annotated[float, typer.Option(help="Length of the motion.")] = 8.0,
+    seed: given.Seed = 0,
+    json: given.Json = False,
+) -> None:
+    """Show what it does: make a motion, corrupt it, recover it, and draw the three.
+
+    A person walks, turns, kicks and jumps; a fifth of all samples is thrown by up to 25 cm an axis.
+    """
+    truth = synthesize(seconds, seed=seed)
+    if output.exists() and not output.is_dir():
+        raise ValueError(f"{output} is no folder: give the name of one")
+    output.mkdir(parents=True, exist_ok=True)
+    names = ("truth.npz", "corrupted.npz", "corrupted.csv", "recovered.npz", "recovered.csv", "recovery.png")
+    paths = [output / name for name in names]
+    for path in paths:
+        given.check_place(path, overwrite)
+    corrupted = truth.with_positions(apply("iid-20", truth.positions, seed)[0], f"corrupted by iid-20, seed {seed}")
+    recovery, recovered = _recover(corrupted, _PRESET)
+    for path, clip in zip(paths, (truth, corrupted, corrupted, recovered, recovered), strict=False):
+        save(clip, path, overwrite=overwrite)
+    picture = paths[-1]
+    try:
+        _draw(truth, corrupted, recovered, picture, overwrite)
+    except ImportError as error:
+        warnings.warn(str(error), stacklevel=1)
+        paths.remove(picture)
+
+    padded = np.pad(corrupted.positions, ((2, 2), (0, 0), (0, 0)), mode="edge")
+    clips = {
+        "corrupted": corrupted.positions,
+        "median of 5 frames": np.median(np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0), axis=-1),
+        "recovered": recovered.positions,
+    }
+    found = {
+        "frames": len(truth),
+        "joints": len(truth.names),
+        **facts.verdict(recovery),
+        **facts.measures(clips, truth.skeleton, recovery.bone_lengths, truth),
+        "written": [str(path) for path in paths],
+    }
+    if json:
+        terminal.print_json(found)
+        return
+    print(f"made a motion of {facts.size(truth)}, and threw 20 % of the samples by up to 25 cm an axis")
+    print(facts.verdict_line(recovery))
+    print()
+    facts.print_measures(found)
+    if found["aje_mm"]["median of 5 frames"] < found["aje_mm"]["recovered"]:
+        print("a running median is nearer to the truth on lone spikes like these; it knows nothing of bones and gaps")
+    print()
+    print(f"wrote {', '.join(path.name for path in paths)} into {output}")
+    if picture in paths:
+        print(f"look at {picture}: orange went in, blue came out, black is the truth")
+    print("now try a file of yours (BVH, AMC, CSV or NPZ):")
+    print("  motionrecover info walk.bvh")
+    print("  motionrecover recover walk.bvh -o walk-recovered.npz --figure walk.png")
+
+
+def corrupt(
+    path: given.Input,
+    output: given.Output,
+    protocol: Annotated[
+        str,
+        typer.Option(
+            metavar="NAME", help=f"{', '.join(PROTOCOLS)}; F in per cent, N joints, L frames: iid-20, rand30, gap3x60."
+        ),
+    ],
+    seed: given.Seed = 0,
+    overwrite: given.Overwrite = False,
+    format: given.Format = None,
+    skeleton: given.SkeletonName = None,
+    unit: given.Unit = None,
+    up: given.Up = None,
+    fps: given.Fps = None,
+    skip_first: given.SkipFirst = False,
+    json: given.Json = False,
+    quiet: given.Quiet = False,
+) -> None:
+    """Corrupt a motion on purpose, to see what a recovery makes of it."""
+    _hush(quiet)
+    given.check_output(output, overwrite)
+    clip = load(path, format=format, skeleton=skeleton, unit=unit, up=up, fps=fps, skip_first=skip_first)
+    positions, hit = apply(protocol, facts.measured(clip), seed)
+    corrupted = clip.with_positions(positions, f"corrupted by {protocol}, seed {seed}")
+    save(corrupted, output, overwrite=overwrite)
+    removed = int(clip.observed.sum() - corrupted.observed.sum())
+    found = {
+        "input": str(path),
+        "output": str(output),
+        "protocol": protocol,
+        "seed": seed,
+        "hit_share": float(hit.mean()),
+        "removed": removed,
+    }
+    if json:
+        terminal.print_json(found)
+    elif not quiet:
+        print(f"{path}: {facts.size(clip)}")
+        print(f"{terminal.percent(found['hit_share'])} of the samples hit, {removed} of them removed")
+        print(f"wrote {output}")
+
+
+def evaluate(
+    path: given.Input,
+    truth: Annotated[Path, typer.Option(metavar="FILE", help="The true motion.")],
+    format: given.Format = None,
+    skeleton: given.SkeletonName = None,
+    unit: given.Unit = None,
+    up: given.Up = None,
+    fps: given.Fps = None,
+    skip_first: given.SkipFirst = False,
+    json: given.Json = False,
+) -> None:
+    """Measure a motion against the true one.
+
+    Joints are matched by name, frames by number. The options on reading apply to both files; where that does not fit,
+    convert one of them first.
+    """
+    asked = {"skeleton": skeleton, "unit": unit, "up": up, "fps": fps, "skip_first": skip_first}
+    clip, true = load(path, format=format, **asked), load(truth, **asked)
+    if not np.isclose(clip.fps, true.fps, rtol=0.01):
+        warnings.warn(
+            f"{path} has {clip.fps:g} frames a second and {truth} {true.fps:g}: they are compared frame by frame",
+            stacklevel=1,
+        )
+    reference, common = given.matched(true, clip, truth, path)
+    left_out = sorted({*clip.names, *true.names} - {*common})
+    found = {"input": str(path), "truth": str(truth), **facts.comparison(clip, reference, common)}
+    if not found["compared_share"]:
+        raise ValueError(f"{path} and {truth} have no sample that both measured: there is nothing to compare")
+    if json:
+        terminal.print_json(found | {"joints_left_out": left_out})
+        return
+    print(f"{path} against {truth}")
+    print(f"compared: {counted(len(clip), 'frame')}, {counted(len(common), 'joint')} of the same name")
+    if left_out:
+        print(f"these joints: {', '.join(common)}")
+        print(f"left out, for only one file has them: {', '.join(left_out)}")
+    facts.print_comparison(found)
+
+
+def info(
+    path: given.Input,
+    format: given.Format = None,
+    skeleton: given.SkeletonName = None,
+    unit: given.Unit = None,
+    up: given.Up = None,
+    fps: given.Fps = None,
+    skip_first: given.SkipFirst = False,
+    json: given.Json = False,
+) -> None:
+    """Tell what a motion file holds, and how it was read."""
+    clip = load(path, format=format, skeleton=skeleton, unit=unit, up=up, fps=fps, skip_first=skip_first)
+    found = {"file": str(path), **facts.contents(clip)}
+    if json:
+        terminal.print_json(found)
+    else:
+        print(path)
+        facts.print_contents(found)
+
+
+def convert(
+    path: given.Input,
+    output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .npz or .csv.")],
+    to: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Format of OUT, if not what its ending says: csv-long.")
+    ] = None,
+    overwrite: given.Overwrite = False,
+    format: given.Format = None,
+    skeleton: given.SkeletonName = None,
+    unit: given.Unit = None,
+    up: given.Up = None,
+    fps: given.Fps = None,
+    skip_first: given.SkipFirst = False,
+    quiet: given.Quiet = False,
+) -> None:
+    """Write a motion in another format, in metres with y up, every number exact."""
+    _hush(quiet)
+    given.check_output(output, overwrite, to)
+    clip = load(path, format=format, skeleton=skeleton, unit=unit, up=up, fps=fps, skip_first=skip_first)
+    save(clip, output, overwrite=overwrite, format=to)
+    if not quiet:
+        print(f"{path}: {facts.size(clip)}")
+        print(f"wrote {output}")
+
+
+def _hush(quiet: bool) -> None:
+    if quiet:
+        warnings.simplefilter("ignore")
+
+
+def _recover(clip: Motion, preset: str, quiet: bool = False, **settings: Any) -> tuple[Recovery, Motion]:
+    """The recovery of a clip, and its motion."""
+
+    def call() -> Recovery:
+        masks = {"observed": clip.observed, "confidence": clip.confidence}
+        return run_recovery(clip.positions, clip.skeleton, preset=preset, fps=clip.fps, **masks, **settings)
+
+    recovery = terminal.work(f"recovering {facts.size(clip)}", quiet, call)
+    ended = "converged" if recovery.converged else "not converged"
+    note = f"recovered with {preset} of motionrecover {__version__}: {counted(recovery.steps, 'step')}, {ended}"
+    return recovery, clip.with_positions(recovery.positions, note)
+
+
+def _draw(truth: Motion | None, corrupted: Motion, recovered: Motion, path: Path, overwrite: bool) -> None:
+    with write_beside(path, overwrite=overwrite) as temporary:
+        recovery_figure(truth, corrupted, recovered, temporary)

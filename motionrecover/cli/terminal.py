@@ -1,0 +1,84 @@
+"""What the commands say: notes and progress on stderr, tables or one JSON object on stdout."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import warnings
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import redirect_stdout
+from typing import Any, TypeVar
+
+from rich.console import Console
+from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+_T = TypeVar("_T")
+
+
+def show_warnings_as_notes() -> None:
+    """Print each warning once, as a line `note: ...` on stderr, until `warnings.catch_warnings` ends."""
+    said = set()
+
+    def show(message, category, filename, lineno, file=None, line=None):
+        if str(message) not in said:
+            said.add(str(message))
+            print("note:", " ".join(str(message).split()), file=sys.stderr)
+
+    warnings.simplefilter("always")
+    warnings.simplefilter("ignore", DeprecationWarning)
+    warnings.showwarning = show
+
+
+def work(task: str, quiet: bool, call: Callable[[], _T]) -> _T:
+    """What `call` returns; meanwhile a spinner with the time that has passed, if stderr is a terminal.
+
+    What the call prints goes to stderr. It runs in a thread, since compiled code would not let Ctrl-C through.
+    """
+    console = Console(stderr=True, highlight=False, markup=False, emoji=False)
+    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as progress:
+        progress.add_task(task, total=None)
+        with redirect_stdout(sys.stderr):
+            pool = ThreadPoolExecutor(1)
+            future = pool.submit(call)
+            pool.shutdown(wait=False)
+            return future.result()
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print rows under a head, names to the left and numbers to the right; an empty head is left out."""
+    console = Console(highlight=False, markup=False, emoji=False)
+    grid = Table(box=None, pad_edge=False, show_header=any(head), padding=(0, 3, 0, 0))
+    for column, title in enumerate(head):
+        grid.add_column(title, justify="right" if column and any(head) else "left", overflow="fold")
+    for row in rows:
+        grid.add_row(*row)
+    console.print(grid)
+
+
+def print_json(facts: dict[str, Any]) -> None:
+    """Print one JSON object; numbers that are not finite become null."""
+    print(json.dumps(_finite(facts), indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def mm(millimetres: float) -> str:
+    """A length for people."""
+    return f"{millimetres:.1f} mm" if math.isfinite(millimetres) else "-"
+
+
+def percent(share: float) -> str:
+    """A share for people, which is zero or whole only when it is so exactly."""
+    if 0 < share < 0.0005:
+        return "< 0.1 %"
+    return "> 99.9 %" if 0.9995 < share < 1 else f"{100 * share:.1f} %"
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

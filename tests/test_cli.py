@@ -1,0 +1,348 @@
+"""The command line: what it writes, prints and refuses."""
+
+import errno
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionrecover import __version__, corrupt, load, metrics, save, synthesize
+from motionrecover.cli import commands, main
+from motionrecover.motion import Motion
+from motionrecover.recover import RecoveryError
+from motionrecover.skeleton import Skeleton
+
+# As long as `demo --seconds 1`, so that one compiled program serves all tests.
+TRUTH = synthesize(1.0, seed=3)
+BVH = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
+  End Site
+  {
+    OFFSET 0 1.7 0
+  }
+}
+MOTION
+Frames: 3
+Frame Time: 0.01
+1 2 3 10 20 30
+1 2 3 10 20 30
+1 2 3 10 20 30
+"""
+STATED = "# fps: 30\n# unit: m\n# up: y\n"
+HIP_KNEE = STATED + "# parents: -1, 0\nhip_x,hip_y,hip_z,knee_x,knee_y,knee_z\n"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A working folder with truth.npz and corrupted.csv."""
+    monkeypatch.chdir(tmp_path)
+    save(TRUTH, "truth.npz")
+    positions, _ = corrupt.apply("iid-20", TRUTH.positions, 1)
+    positions[5:9, 3] = np.nan
+    save(TRUTH.with_positions(positions, "corrupted"), "corrupted.csv")
+    return tmp_path
+
+
+@pytest.fixture
+def run(capsys):
+    """Runs the command line and gives its exit code, stdout and stderr."""
+
+    def call(*arguments):
+        code = main([str(argument) for argument in arguments])
+        return code, *capsys.readouterr()
+
+    return call
+
+
+@pytest.fixture
+def refuses(run):
+    """Checks that a command line ends with one line of error that holds all the words, and leaves the folder alone."""
+
+    def check(*arguments, words=()):
+        before = {path: path.read_bytes() if path.is_file() else b"" for path in Path().rglob("*")}
+        code, out, err = run(*arguments)
+        assert (code, out) == (2, "")
+        assert [line[:7] for line in err.splitlines() if not line.startswith("note: ")] == ["error: "]
+        assert "Traceback" not in err
+        assert not [word for word in words if word not in err], err
+        assert {path: path.read_bytes() if path.is_file() else b"" for path in Path().rglob("*")} == before
+
+    return check
+
+
+def test_recover_from_csv_to_npz(folder, run):
+    code, out, err = run("recover", "corrupted.csv", "-o", "out.npz", "--truth", "truth.npz", "--figure", "out.png")
+    assert (code, err) == (0, "")
+    assert "converged after" in out
+    assert "wrote out.npz and out.png" in out
+    assert sorted(path.name for path in folder.iterdir()) == ["corrupted.csv", "out.npz", "out.png", "truth.npz"]
+    before, after = load("corrupted.csv"), load("out.npz")
+    assert after.observed.all()
+    assert (after.names, after.fps, len(after)) == (before.names, before.fps, len(before))
+    assert any(line.startswith("recovered with str_yang2020") for line in after.history)
+    aje = [metrics.aje(clip.positions, TRUTH.positions, before.observed) for clip in (before, after)]
+    assert aje[1] < 0.6 * aje[0]
+
+
+def test_recover_prints_one_json_object_with_the_same_numbers(folder, run):
+    arguments = ("recover", "corrupted.csv", "-o", "out.csv", "--truth", "truth.npz", "--json", "--verbose")
+    code, out, err = run(*arguments)
+    facts = json.loads(out)
+    assert code == 0
+    assert "objective" in err
+    assert facts["converged"] is True
+    assert facts["missing_filled"] == 4
+    after = load("out.csv")
+    assert facts["aje_mm"]["after"] == pytest.approx(1000 * metrics.aje(after.positions, TRUTH.positions), rel=1e-6)
+    assert facts["abe_mm"]["after"] < facts["abe_mm"]["before"]
+    assert facts["bone_length_deviation_mm"]["after"] < 0.1 * facts["bone_length_deviation_mm"]["before"]
+    assert 0.15 < facts["changed_share"] < 1
+
+
+def test_recover_quietly_with_the_lengths_of_the_rest_pose(folder, run):
+    assert run("recover", "corrupted.csv", "-o", "out.npz", "--bone-lengths", "rest", "-q") == (0, "", "")
+    found = TRUTH.skeleton.bone_lengths_of(load("out.npz").positions)
+    np.testing.assert_allclose(np.median(found, axis=0), TRUTH.skeleton.rest_lengths, rtol=0.02)
+
+
+def test_existing_files_are_replaced_only_when_asked(folder, run, refuses):
+    Path("out.npz").write_text("old")
+    Path("out.png").write_text("old")
+    for arguments in (
+        ("recover", "corrupted.csv", "-o", "out.npz"),
+        ("recover", "corrupted.csv", "-o", "new.npz", "--figure", "out.png"),
+        ("corrupt", "truth.npz", "-o", "out.npz", "--protocol", "iid-20"),
+        ("convert", "truth.npz", "out.npz"),
+    ):
+        refuses(*arguments, words=["exists already", "--overwrite"])
+    assert run("recover", "corrupted.csv", "-o", "out.npz", "--figure", "out.png", "--overwrite")[0] == 0
+    assert len(load("out.npz")) == len(TRUTH)
+    assert Path("out.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_what_cannot_be_written_is_refused_before_the_work(folder, refuses, monkeypatch):
+    def work(*_, **__):
+        raise AssertionError("worked")
+
+    monkeypatch.setattr(commands, "load", work)
+    refuses("recover", "corrupted.csv", "-o", "out.bvh", words=["out.bvh", ".csv or .npz"])
+    refuses("recover", "corrupted.csv", "-o", "out", words=["without an ending"])
+    refuses("recover", "corrupted.csv", "-o", "no/out.npz", words=["no folder"])
+    refuses("recover", "corrupted.csv", "-o", "out.npz", "--figure", "out.jpg", words=[".png"])
+    refuses("recover", "corrupted.csv", "-o", "out.npz", "--preset", "best", words=["'best'", "str_yang2020"])
+    refuses("convert", "truth.npz", "out.csv", "--to", "fbx", words=["fbx", ".csv or .npz"])
+
+    def forbidden(*_):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", forbidden)
+        assert main(["recover", "corrupted.csv", "-o", "out.npz"]) == 2
+    assert not Path("out.npz").exists()
+
+
+@pytest.mark.parametrize(("error", "code"), [(RecoveryError("No sample."), 1), (KeyboardInterrupt(), 130)])
+def test_work_that_fails_leaves_no_file(folder, run, monkeypatch, error, code):
+    def fail(*_, **__):
+        raise error
+
+    monkeypatch.setattr(commands, "run_recovery", fail)
+    before = sorted(folder.iterdir())
+    assert run("recover", "corrupted.csv", "-o", "out.npz") == (code, "", "error: No sample.\n" if code == 1 else "")
+    assert sorted(folder.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("nowhere.npz", None, ["does not exist"]),
+        ("empty.csv", "", ["empty"]),
+        ("clip.fbx", "fbx", [".fbx", "bvh"]),
+        ("truncated.bvh", BVH[:150], ["truncated.bvh"]),
+        ("binary.bvh", b"\xff\xfe\x00\x01" * 40, ["UTF-8"]),
+        ("short_row.bvh", BVH[: -len(" 30\n")], ["line 16"]),
+        ("lying_count.bvh", BVH.replace("Frames: 3", "Frames: 30"), ["30"]),
+        ("damaged.npz", "PK and no zip", ["damaged"]),
+        ("nothing.csv", HIP_KNEE + ",,,,,\n" * 4, ["no measured sample"]),
+        ("lost_joint.csv", HIP_KNEE + "0,1,0,,,\n" * 4, ["knee", "never observed"]),
+        ("one_frame.csv", HIP_KNEE + "0,1,0,0,0.5,0\n", ["1 frame", "at least 3"]),
+        ("words.csv", HIP_KNEE + "0,1,0,0,half,0\n", ["line 6", "'half'"]),
+        ("infinite.csv", HIP_KNEE + "0,1,0,0,inf,0\n", ["line 6", "inf"]),
+        ("parts.csv", HIP_KNEE.replace("-1, 0", "-1, -1") + "0,1,0,0,0.5,0\n" * 4, ["without bones"]),
+        ("no_bones.csv", HIP_KNEE.replace("# parents: -1, 0\n", "") + "0,1,0,0,0.5,0\n" * 4, ["--skeleton"]),
+        ("no_unit.csv", HIP_KNEE.replace("# unit: m\n", "") + "0,1,0,0,0.5,0\n" * 4, ["--unit"]),
+        ("one_point.csv", HIP_KNEE + "0,1,0,0,1,0\n" * 4, ["coincide"]),
+    ],
+)
+def test_bad_files_are_refused_in_one_line(folder, refuses, name, content, words):
+    if content is not None:
+        Path(name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    refuses("recover", name, "-o", "out.npz", words=words)
+
+
+def test_a_skeleton_in_two_parts_is_refused(folder, refuses):
+    skeleton = Skeleton(["a", "b", "c", "d"], [("a", "b"), ("c", "d")])
+    save(Motion(np.random.default_rng(0).normal(size=(5, 4, 3)), skeleton, 30), "parts.npz")
+    refuses("recover", "parts.npz", "-o", "out.npz", words=["2 parts", "'c'"])
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["frobnicate"],
+        ["recover"],
+        ["recover", "corrupted.csv"],
+        ["recover", "corrupted.csv", "-o", "out.npz", "--fast"],
+        ["recover", "corrupted.csv", "-o", "out.npz", "--fps", "many"],
+        ["recover", "corrupted.csv", "-o", "out.npz", "--fps", "-1"],
+        ["recover", "corrupted.csv", "-o", "out.npz", "--unit", "yard"],
+        ["recover", "corrupted.csv", "-o", "out.npz", "--up", "w"],
+        ["recover", "corrupted.csv", "-o", "out.npz", "--max-steps", "0"],
+        ["recover", "corrupted.csv", "-o", "out.npz", "--dtype", "float16"],
+        ["recover", "corrupted.csv", "-o", "out.npz", "--skeleton", "cmu99"],
+        ["recover", "corrupted.csv", "-o", "out.npz", "--truth", "nowhere.npz"],
+        ["corrupt", "truth.npz", "-o", "out.npz", "--protocol", "heavy"],
+        ["corrupt", "truth.npz", "-o", "out.npz", "--protocol", "gap99x10"],
+        ["corrupt", "truth.npz", "-o", "out.npz", "--protocol", "iid-20", "--seed", "-1"],
+        ["demo", "--output", "truth.npz"],
+        ["demo", "--seconds", "0"],
+        ["info", "."],
+    ],
+)
+def test_bad_arguments_are_refused_in_one_line(folder, refuses, arguments):
+    refuses(*arguments)
+
+
+def test_corrupt_does_the_same_for_the_same_seed(folder, run):
+    for name, seed in (("a.npz", 4), ("b.npz", 4), ("c.npz", 5)):
+        assert run("corrupt", "truth.npz", "-o", name, "--protocol", "rand30", "--seed", seed)[0] == 0
+    a, b, c = (load(name).positions for name in ("a.npz", "b.npz", "c.npz"))
+    np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(a, corrupt.apply("rand30", TRUTH.positions, 4)[0])
+    assert not np.array_equal(a, c, equal_nan=True)
+
+
+def test_evaluate_matches_joints_by_name(folder, run):
+    names = ["ltoes", "root", "lfoot", "ltibia"]
+    part = load("corrupted.csv").select(names)
+    save(part, "part.csv")
+    code, out, err = run("evaluate", "part.csv", "--truth", "truth.npz", "--json")
+    assert (code, err) == (0, "")
+    facts = json.loads(out)
+    true = TRUTH.positions[:, [TRUTH.names.index(name) for name in names]]
+    assert facts["joints"] == names
+    assert set(facts["joints_left_out"]) == set(TRUTH.names) - set(names)
+    assert facts["aje_mm"] == pytest.approx(1000 * metrics.aje(part.positions, true, part.observed))
+    assert facts["abe_mm"] == pytest.approx(1000 * metrics.abe(part.positions, true, part.skeleton, part.observed))
+    assert facts["acceleration_ratio"] == pytest.approx(metrics.acceleration_ratio(part.positions, true, part.observed))
+    assert list(facts["worst_joints_mm"].values()) == sorted(facts["worst_joints_mm"].values(), reverse=True)
+    code, out, _ = run("evaluate", "part.csv", "--truth", "truth.npz")
+    assert code == 0
+    assert "4 joints of the same name" in out
+    assert f"{facts['aje_mm']:.1f} mm" in out
+
+
+def test_evaluate_refuses_what_does_not_fit(folder, run, refuses):
+    save(synthesize(0.5), "short.npz")
+    refuses("evaluate", "short.npz", "--truth", "truth.npz", words=["60", "120", "same frames"])
+    other = Motion(np.zeros((len(TRUTH), 2, 3)), Skeleton("ab", [(0, 1)]), TRUTH.fps)
+    save(other, "other.npz")
+    refuses("evaluate", "other.npz", "--truth", "truth.npz", words=["no joint name in common", "a, b"])
+    save(TRUTH.with_positions(np.full_like(TRUTH.positions, np.nan), "lost"), "lost.npz")
+    refuses("evaluate", "lost.npz", "--truth", "truth.npz", words=["nothing to compare"])
+
+
+def test_info_tells_what_was_read(folder, run):
+    code, out, err = run("info", "corrupted.csv", "--json")
+    assert (code, err) == (0, "")
+    facts, clip = json.loads(out), load("corrupted.csv")
+    assert (facts["frames"], facts["fps"], facts["joints"]) == (120, 120.0, list(TRUTH.names))
+    assert (facts["skeleton"], facts["skeleton_parts"], facts["bones"]) == ("tree", 1, 24)
+    assert facts["missing_share"] == pytest.approx(4 / clip.observed.size)
+    step = facts["largest_step_at"]
+    joint = clip.names.index(step["joint"])
+    moved = clip.positions[step["frame"], joint] - clip.positions[step["frame"] - 1, joint]
+    assert facts["largest_step_mm"] == pytest.approx(1000 * np.linalg.norm(moved))
+    assert facts["history"] == list(clip.history)
+    code, out, _ = run("info", "corrupted.csv")
+    assert code == 0
+    assert "tree of 24 bones" in out
+
+
+def test_info_of_a_graph_and_of_one_frame(folder, run):
+    skeleton = Skeleton("abc", [(0, 1), (1, 2), (2, 0)])
+    save(Motion(np.array([[[0.0, 0, 0], [0, 0, 0], [1, 0, 0]]]), skeleton, 30), "graph.npz")
+    code, out, _ = run("info", "graph.npz", "--json")
+    facts = json.loads(out)
+    assert code == 0
+    assert (facts["skeleton"], facts["zero_length_bones"], facts["largest_step_mm"]) == ("graph", ["a-b"], 0)
+
+
+def test_convert_there_and_back_is_exact(folder, run):
+    assert run("convert", "corrupted.csv", "a.npz", "-q") == (0, "", "")
+    assert run("convert", "a.npz", "b.csv", "--to", "csv-long")[0] == 0
+    first, last = load("corrupted.csv"), load("b.csv")
+    np.testing.assert_array_equal(first.positions, last.positions)
+    assert first.skeleton == last.skeleton
+    assert Path("b.csv").read_text().count("joint,x,y,z") == 1
+
+
+def test_assumptions_are_notes_on_stderr_once(folder, run):
+    Path("clip.bvh").write_text(BVH)
+    code, out, err = run("convert", "clip.bvh", "clip.npz")
+    assert code == 0
+    assert "wrote clip.npz" in out
+    assert [line[:6] for line in err.splitlines()] == ["note: "]
+    assert "--unit" in err
+    assert run("convert", "clip.bvh", "quiet.npz", "-q") == (0, "", "")
+
+
+def test_demo_writes_what_it_says(folder, run, refuses):
+    Path("demo").mkdir()
+    Path("demo/mine.txt").write_text("mine")
+    code, out, err = run("demo", "--seconds", "1", "--json")
+    assert (code, err) == (0, "")
+    facts = json.loads(out)
+    assert sorted(map(str, Path("demo").iterdir())) == sorted([*facts["written"], "demo/mine.txt"])
+    assert len(facts["written"]) == 6
+    np.testing.assert_array_equal(load("demo/recovered.csv").positions, load("demo/recovered.npz").positions)
+    true, after = load("demo/truth.npz"), load("demo/recovered.npz")
+    assert facts["aje_mm"]["recovered"] == pytest.approx(1000 * metrics.aje(after.positions, true.positions), rel=1e-6)
+    assert facts["aje_mm"]["recovered"] < facts["aje_mm"]["corrupted"]
+    refuses("demo", "--seconds", "1", words=["truth.npz", "--overwrite"])
+    code, out, err = run("demo", "--seconds", "1", "--overwrite")
+    assert (code, err) == (0, "")
+    assert "demo/recovery.png" in out
+    assert "motionrecover recover walk.bvh" in out
+
+
+def test_the_demo_goes_without_matplotlib(folder, run, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    code, out, err = run("demo", "--seconds", "1")
+    assert code == 0
+    assert err.startswith("note: a figure needs matplotlib")
+    assert "recovery.png" not in out
+    assert len(list(Path("demo").iterdir())) == 5
+
+
+def test_without_a_command_help_is_printed(run):
+    code, out, err = run()
+    assert (code, err) == (0, "")
+    assert "Usage: motionrecover" in out
+
+
+def test_the_command_and_the_module_run():
+    script = Path(sys.executable).with_name("motionrecover")
+    done = subprocess.run([script, "--version"], capture_output=True, text=True, check=True)
+    assert (done.stdout, done.stderr) == (f"motionrecover {__version__}\n", "")
+    module = [sys.executable, "-m", "motionrecover", "--help"]
+    done = subprocess.run(module, capture_output=True, text=True, check=True)
+    assert "Usage: motionrecover" in done.stdout
+    assert "evaluate" in done.stdout

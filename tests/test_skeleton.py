@@ -1,0 +1,126 @@
+"""Skeletons and motions: construction, selection, and what they refuse."""
+
+import numpy as np
+import pytest
+
+from motionrecover import Motion, Skeleton
+from motionrecover.evidence.bone_lengths import estimate_bone_lengths
+from motionrecover.skeleton import STANDARDS
+
+
+@pytest.mark.parametrize(
+    ("name", "joints"), [("cmu31", 31), ("cmu25", 25), ("cmu21", 21), ("kinect25", 25), ("smpl24", 24)]
+)
+def test_standards_are_connected_trees(name, joints):
+    skeleton = Skeleton.standard(name)
+    assert len(skeleton.names) == joints
+    assert skeleton.is_forest
+    assert len(skeleton.components) == 1
+    assert skeleton.parents.count(-1) == 1
+    assert set(STANDARDS) == {"cmu31", "cmu25", "cmu21", "kinect25", "smpl24"}
+
+
+@pytest.mark.parametrize("name", ["cmu25", "cmu21"])
+def test_the_smaller_cmu_skeletons_are_selections_of_cmu31(name):
+    part = Skeleton.standard(name)
+    assert Skeleton.standard("cmu31").select(part.names) == part
+
+
+def test_cmu31_is_the_layout_of_the_recordings(shared_data):
+    with np.load(shared_data / "cmu/npz/05_01.npz") as file:
+        assert Skeleton.from_parents(file["names"], file["parents"]) == Skeleton.standard("cmu31")
+
+
+def test_the_three_ways_to_write_a_skeleton(tmp_path):
+    by_index = Skeleton("abc", [(0, 1), (1, 2)])
+    assert Skeleton("abc", [("a", "b"), ("b", "c")]) == by_index
+    assert Skeleton.from_parents("abc", [-1, 0, 1]) == by_index
+    file = tmp_path / "skeleton.toml"
+    for text in ('parents = ["", "a", "b"]', "parents = [-1, 0, 1]", 'edges = [["a", "b"], ["b", "c"]]'):
+        file.write_text(f'names = ["a", "b", "c"]\n{text}\n')
+        assert Skeleton.from_file(file) == by_index
+    assert by_index.bone_names == ("a-b", "b-c")
+
+
+def test_selection_keeps_rest_offsets_only_between_neighbours():
+    skeleton = Skeleton.from_parents("abc", [-1, 0, 1], np.array([[0, 0, 0], [1.0, 0, 0], [0, 2, 0]]))
+    np.testing.assert_array_equal(skeleton.rest_lengths, [1, 2])
+    np.testing.assert_array_equal(skeleton.select("ab").rest_lengths, [1])
+    bridged = skeleton.select("ac")
+    assert bridged.edges == ((0, 1),)
+    assert bridged.rest_lengths is None
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Skeleton([]), "without joints"),
+        (lambda: Skeleton("aa"), "more than once"),
+        (lambda: Skeleton("ab", [(0, 2)]), "2 joints"),
+        (lambda: Skeleton("ab", [("a", "c")]), "'c'"),
+        (lambda: Skeleton("ab", [(0, 0)]), "itself"),
+        (lambda: Skeleton("ab", [(0, 1), (1, 0)]), "same bone"),
+        (lambda: Skeleton("ab", [(0, 1, 2)]), "pair"),
+        (lambda: Skeleton("ab", [(0, 1)], [[0, 0, 0]]), "rest offsets"),
+        (lambda: Skeleton.from_parents("abc", [1, 2, 0]), "cycle"),
+        (lambda: Skeleton.from_parents("abc", [-1]), "3 joint names"),
+        (lambda: Skeleton("abc", [(0, 2), (1, 2)]).parents, "parents"),
+        (lambda: Skeleton("ab", [(0, 1)]).select(["c"]), "'c'"),
+        (lambda: Skeleton.standard("robot"), "cmu31"),
+    ],
+)
+def test_what_is_no_skeleton(make, words, refused):
+    refused(make, words, error=ValueError)
+
+
+@pytest.mark.parametrize("text", ["names = [", 'names = ["a"]', 'names = ["a"]\nparents = ["b"]', "\x00"])
+def test_what_is_no_skeleton_file(text, tmp_path, refused):
+    file = tmp_path / "skeleton.toml"
+    file.write_text(text)
+    with pytest.raises(ValueError, match=r"skeleton\.toml"):
+        Skeleton.from_file(file)
+
+
+CHAIN = Skeleton("ab", [(0, 1)])
+
+
+def test_motion_completes_itself():
+    positions = np.ones((4, 2, 3))
+    positions[1, 0] = np.nan
+    motion = Motion(positions, CHAIN, fps=30)
+    assert motion.observed.tolist() == [[True, True], [False, True], [True, True], [True, True]]
+    assert (len(motion), motion.seconds, motion.names) == (4, 4 / 30, ("a", "b"))
+    assert motion.select("b").positions.shape == (4, 1, 3)
+    assert motion.with_positions(np.zeros((4, 2, 3)), "zeroed").history == ("zeroed",)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"positions": np.ones((4, 3, 3))}, "shape (4, 3, 3)"),
+        ({"positions": np.ones((0, 2, 3))}, "0 frames"),
+        ({"positions": np.full((1, 2, 3), np.inf)}, "joint 'a'"),
+        ({"fps": 0}, "frame rate of 0"),
+        ({"up": "w"}, "up axis 'w'"),
+        ({"observed": np.ones((1, 2), bool)}, "observed of shape (1, 2)"),
+        ({"confidence": np.ones(2)}, "confidence of shape (2,)"),
+        ({"confidence": np.full((4, 2), 1.5)}, "confidence"),
+    ],
+)
+def test_what_is_no_motion(changes, words, refused):
+    arguments = {"positions": np.ones((4, 2, 3)), "skeleton": CHAIN, "fps": 30, **changes}
+    refused(lambda: Motion(**arguments), words, error=ValueError)
+
+
+@pytest.mark.parametrize("corrupted", [0.0, 0.2, 0.45])
+def test_bone_lengths_survive_what_is_less_than_half(corrupted):
+    rng = np.random.default_rng(0)
+    lengths = np.full((200, 3), [0.1, 0.3, 0.5]) + rng.normal(scale=1e-3, size=(200, 3))
+    thrown = rng.random((200, 3)) < corrupted
+    lengths = np.where(thrown, lengths + rng.uniform(0, 0.3, (200, 3)), lengths)
+    lengths[rng.random((200, 3)) < 0.1] = np.nan
+    np.testing.assert_allclose(estimate_bone_lengths(lengths), [0.1, 0.3, 0.5], atol=2e-3)
+
+
+def test_a_bone_without_a_frame_has_no_length():
+    assert np.isnan(estimate_bone_lengths(np.full((3, 1), np.nan))).all()
