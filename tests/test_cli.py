@@ -159,6 +159,25 @@ def test_work_that_fails_leaves_no_file(folder, run, monkeypatch, error, code):
     assert sorted(folder.iterdir()) == before
 
 
+def test_ctrl_c_does_not_wait_for_the_solver(folder):
+    code = """if True:
+        import os, signal, sys, time
+        from motionrecover.cli import commands, main
+
+        def slow(*_, **__):
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(60)
+
+        commands.run_recovery = slow
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        sys.argv = ["motionrecover", "recover", "corrupted.csv", "-o", "out.npz"]
+        sys.exit(main())
+    """
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30)
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "")
+    assert sorted(path.name for path in folder.iterdir()) == ["corrupted.csv", "truth.npz"]
+
+
 @pytest.mark.parametrize(
     ("name", "content", "words"),
     [

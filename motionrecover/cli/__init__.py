@@ -61,6 +61,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         terminal.show_warnings_as_notes()
         try:
             code = app(None if argv is None else list(argv), prog_name="motionrecover", standalone_mode=False) or 0
+            sys.stdout.flush()
         except _UsageError as error:
             help_of = error.ctx.command_path if error.ctx else "motionrecover"
             code = _fail(f"{error.format_message().rstrip('.')} (see {help_of} --help)", 2)
@@ -70,7 +71,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             code = _fail(error, 2)
         except (KeyboardInterrupt, typer.Abort):
             code = 130
-    sys.stdout.flush()
     if code == 130 and argv is None:
         os._exit(code)  # An ordinary exit waits for the solver, and JAX crashes while its compilation is cut off.
     return code
