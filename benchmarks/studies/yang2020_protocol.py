@@ -13,6 +13,7 @@ import numpy as np
 from benchmarks import reference
 from motionrecover import corrupt, intake, metrics
 from motionrecover.io import load
+from motionrecover.motion import Motion
 from motionrecover.presets import PRESETS
 from motionrecover.recover import bucket, recover
 from motionrecover.skeleton import Skeleton
@@ -94,14 +95,19 @@ def data_folder() -> Path:
 
 def cmu25(name: str, folder: Path) -> Clip:
     """A clip of the ASF/AMC files on the 25 joints without hands and fingers."""
-    motion = load(folder / "cmu" / "npz" / f"{name}.npz").select(Skeleton.standard("cmu25").names)
+    motion = load(folder / "cmu" / "npz" / f"{name}.npz")
+    return clip_of(name, motion.select(Skeleton.standard("cmu25").names))
+
+
+def clip_of(name: str, motion: Motion) -> Clip:
+    """The motion as a truth."""
     positions = motion.positions.astype(float)
     return Clip(name, positions, motion.skeleton, np.median(motion.skeleton.bone_lengths_of(positions), 0))
 
 
 def preset_positions(preset, clip: Clip, data: np.ndarray) -> np.ndarray:
-    """The answer of the public front door with the true bone lengths."""
-    return recover(data, clip.skeleton, preset=preset, bone_lengths=clip.lengths).positions
+    """The answer of the public front door with the true bone lengths, NaN where the solver failed."""
+    return recover(data, clip.skeleton, preset=preset, bone_lengths=clip.lengths, throw=False).positions
 
 
 def variant(preset, clip: Clip, data: np.ndarray, *, centre=True, zero=False, penalties="data", dtype=np.float32):

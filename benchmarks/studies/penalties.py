@@ -1,0 +1,117 @@
+"""Which penalties make Algorithm 1 converge, and from how many frames on it helps: evidence for `presets.Preset`.
+
+    python -m benchmarks.studies.penalties [--output FILE]
+
+Question 1: AJE and steps of `str_yang2020` under other starts, growths and ends of the penalties, on clips of 8 to 1918
+frames. Question 2: how often a clip of a few frames comes back worse than it went in. Corruption is that of Yang et al.
+2020, Table II; bone lengths are the true ones, as there. Results: `results/penalties.json`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from motionrecover import corrupt, metrics
+from motionrecover.io import load
+from motionrecover.io.atomic import write_beside
+from motionrecover.presets import PRESETS
+from motionrecover.recover import recover
+from motionrecover.skeleton import Skeleton
+
+STR = PRESETS["str_yang2020"]
+CLIPS = {"05_02": 300, "09_01": 148, "05_10": 300, "09_12": 1918, "05_05": 30, "09_03": 8}
+RATES = (0.0, 0.05, 0.2)
+ENDLESS = {"reach": 1e-9, "isometry_penalty_max": 1e9}
+VARIANTS = {
+    "preset": {},
+    "penalties grow without end": ENDLESS,
+    "first penalty x 0.1": {"penalty": 0.125},
+    "first penalty x 10": {"penalty": 12.5},
+    "growth 1.05": {"penalty_growth": 1.05},
+    "growth 2": {"penalty_growth": 2.0},
+    "reach 5 mm": {"reach": 0.005},
+    "reach 8 cm": {"reach": 0.08},
+    "isometry penalty up to 1": {"isometry_penalty_max": 1.0},
+    "isometry penalty up to 3": {"isometry_penalty_max": 3.0},
+    "isometry penalty up to 100": {"isometry_penalty_max": 100.0},
+    "printed": {"initialisation": "printed"},
+}
+SHORT = {
+    "clips": ("05_02", "05_10", "09_01", "09_05", "09_11"),
+    "frames": (1, 2, 3, 4, 8),
+    "rates": (0.05, 0.2, 0.8),
+    "seeds": 8,
+}
+
+
+def truth_of(data: Path, clip: str) -> tuple[np.ndarray, Skeleton, np.ndarray]:
+    """Positions (frame, joint, 3) of the 25 joints, their skeleton and true bone lengths."""
+    motion = load(data / "cmu" / "npz" / f"{clip}.npz").select(Skeleton.standard("cmu25").names)
+    return motion.positions, motion.skeleton, motion.skeleton.bone_lengths_of(motion.positions).mean(0)
+
+
+def schedules(data: Path) -> dict:
+    """AJE in mm after 40 steps and at the end, and the steps to the end, of every variant on every clip and rate."""
+    table: dict[str, dict] = {name: {} for name in VARIANTS}
+    for clip, frames in CLIPS.items():
+        positions, skeleton, lengths = truth_of(data, clip)
+        truth = positions[:frames]
+        for rate in RATES:
+            corrupted, _ = corrupt.joints(truth, rate, seed=1)
+            for name, changes in VARIANTS.items():
+                preset = replace(STR, **changes)
+                early, end = (
+                    recover(corrupted, skeleton, preset=preset, bone_lengths=lengths, max_steps=steps)
+                    for steps in (40, preset.max_steps)
+                )
+                table[name][f"{clip} {rate:.0%}"] = {
+                    "before": round(1000 * metrics.aje(corrupted, truth), 2),
+                    "after 40 steps": round(1000 * metrics.aje(early.positions, truth), 2),
+                    "at the end": round(1000 * metrics.aje(end.positions, truth), 2),
+                    "steps": end.steps if end.converged else f"over {preset.max_steps}",
+                }
+    return table
+
+
+def short_clips(data: Path) -> dict:
+    """For each number of frames: how many corrupted pieces came back worse, of how many, and the mean ratio of AJE."""
+    preset, table = replace(STR, min_frames=1), {}
+    for frames in SHORT["frames"]:
+        ratios = []
+        for clip in SHORT["clips"]:
+            positions, skeleton, lengths = truth_of(data, clip)
+            truth = positions[40 : 40 + frames]
+            for rate in SHORT["rates"]:
+                for seed in range(SHORT["seeds"]):
+                    corrupted, hit = corrupt.joints(truth, rate, seed=seed)
+                    if hit.any():
+                        found = recover(corrupted, skeleton, preset=preset, bone_lengths=lengths).positions
+                        ratios.append(metrics.aje(found, truth) / metrics.aje(corrupted, truth))
+        worse = sum(ratio > 1 for ratio in ratios)
+        table[str(frames)] = {"worse": worse, "of": len(ratios), "mean ratio": round(float(np.mean(ratios)), 3)}
+    return table
+
+
+def main() -> None:
+    """Run both questions and write the results."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results" / "penalties.json")
+    output = parser.parse_args().output
+    data = Path(os.environ.get("MOTIONRECOVER_DATA", Path(__file__).parents[3] / "shared" / "data"))
+    results = {"unit": "mm", "schedules": schedules(data), "short clips": short_clips(data)}
+    output.parent.mkdir(exist_ok=True)
+    with write_beside(output, overwrite=True) as temporary:
+        temporary.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    for name, rows in results["schedules"].items():
+        print(f"{name:28}", *(f"{row['at the end']:7.2f} ({row['steps']})" for row in rows.values()))
+    print(results["short clips"])
+
+
+if __name__ == "__main__":
+    main()
