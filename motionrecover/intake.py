@@ -35,24 +35,26 @@ class Intake:
     edges: tuple[tuple[int, int], ...]
     """Bones between the solver's joints."""
     edge_lengths: np.ndarray
-    origin: np.ndarray
+    centre: bool
+    """Whether the solver's origin is the data's middle, not the caller's origin."""
 
-    def problem(self, dtype: np.dtype, stored: int) -> Problem:
-        """The solver's problem, padded to `stored` frames."""
-        frames = len(self.merged)
-        pad = (0, stored - frames)
-        positions = (self.merged - self.origin).transpose(2, 1, 0)
+    def problem(self, span: slice, stored: int, dtype: np.dtype) -> tuple[Problem, np.ndarray]:
+        """The solver's problem for a span of frames, padded to `stored`, and its origin in the caller's coordinates."""
+        merged, weights = self.merged[span], self.merged_weights[span]
+        known = merged[weights > 0]
+        origin = np.median(known, 0) if self.centre and len(known) else np.zeros(3)
+        pad = (0, stored - len(merged))
         return Problem(
-            positions=jnp.asarray(np.pad(positions, ((0, 0), (0, 0), pad)), dtype),
-            weights=jnp.asarray(np.pad(self.merged_weights.T, ((0, 0), pad)), dtype),
+            positions=jnp.asarray(np.pad((merged - origin).transpose(2, 1, 0), ((0, 0), (0, 0), pad)), dtype),
+            weights=jnp.asarray(np.pad(weights.T, ((0, 0), pad)), dtype),
             bone_lengths=jnp.asarray(self.edge_lengths, dtype),
-            frames=jnp.asarray(frames, jnp.int32),
+            frames=jnp.asarray(len(merged), jnp.int32),
             edges=self.edges,
-        )
+        ), origin
 
-    def restore(self, positions: Any) -> np.ndarray:
+    def restore(self, positions: Any, frames: int) -> np.ndarray:
         """(3, solver joint, stored frame) of the solver as (frame, joint, 3) of the caller, without origin."""
-        return np.asarray(positions)[:, self.groups, : len(self.merged)].transpose(2, 1, 0)
+        return np.asarray(positions)[:, self.groups, :frames].transpose(2, 1, 0)
 
 
 def positions_from(matrix: np.ndarray) -> np.ndarray:
@@ -73,8 +75,13 @@ def take_in(
     bone_lengths: Any = None,
     needs_bones: bool = True,
     centre: bool = True,
+    fill_reach: float = 10.0,
 ) -> Intake:
-    """Check the arguments of `recover` and prepare them. Raises `ValueError` for anything that cannot be used."""
+    """Check the arguments of `recover` and prepare them. Raises `ValueError` for anything that cannot be used.
+
+    Missing samples are stood for by straight lines in time. Their trust is 1 / (1 + d / `fill_reach`) at d frames from
+    the nearest sample of the joint.
+    """
     data = _positions(data, skeleton)
     shape, names = data.shape[:2], skeleton.names
     seen = np.isfinite(data).all(-1) & _mask(observed, "observed", shape, bool)
@@ -103,7 +110,9 @@ def take_in(
             kept.setdefault((min(groups[i], groups[j]), max(groups[i], groups[j])), length)
     merged = np.stack([_median(data[:, members]) for members in parts], 1)
     merged_weights = np.stack([weights[:, members].max(1) for members in parts], 1)
-    origin = np.nanmedian(data.reshape(-1, 3), 0) if centre and seen.any() else np.zeros(3)
+    if seen.any():
+        away = _frames_away(np.isfinite(merged[..., 0]))
+        merged_weights = np.where(away > 0, 1 / (1 + away / fill_reach), merged_weights)
     return Intake(
         data=data,
         weights=weights,
@@ -113,7 +122,7 @@ def take_in(
         groups=groups,
         edges=tuple((int(i), int(j)) for i, j in kept),
         edge_lengths=np.array(list(kept.values()), np.float64),
-        origin=origin,
+        centre=centre,
     )
 
 
@@ -126,6 +135,14 @@ def fill(positions: np.ndarray) -> np.ndarray:
             values = positions[seen, joint, axis]
             out[~seen, joint, axis] = np.interp(frames[~seen], frames[seen], values) if seen.any() else 0.0
     return out
+
+
+def _frames_away(seen):
+    """Frames from each sample (frame, joint) to the nearest one of its joint that was seen; infinite without one."""
+    frames = np.arange(len(seen), dtype=float)[:, None]
+    last = np.maximum.accumulate(np.where(seen, frames, -np.inf), 0)
+    following = np.minimum.accumulate(np.where(seen, frames, np.inf)[::-1], 0)[::-1]
+    return np.minimum(frames - last, following - frames)
 
 
 def _positions(data, skeleton):

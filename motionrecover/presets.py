@@ -21,7 +21,8 @@ class Preset:
     changes three things, none of them in the model: A starts at D; the first penalty is `penalty` / |D|_2 (Lin, Chen
     & Ma, arXiv:1009.5055, Sec. 4.2), so that it follows the scale and length of the clip; and growth ends at `reach`
     and `isometry_penalty_max`, where the iteration can converge and the residuals mean something. It also puts the
-    origin at the median of all observed samples, because the nuclear norm and the wavelet term of Eq. 7 depend on it.
+    origin at the median of the observed samples, because the nuclear norm and the wavelet term of Eq. 7 depend on it,
+    and takes long clips in windows.
     """
 
     name: str
@@ -44,11 +45,20 @@ class Preset:
     # The isometry term is not convex: its penalty must exceed the negative curvature gamma |F| of a shortened bone, or
     # Gauss-Newton steps overshoot for ever; the other two converge fastest below it. From 8 to 1918 frames,
     # (lambda / 2 cm, 10, lambda / 2 cm) ends within 500 steps on all of six clips at 0, 5 and 20 % corruption.
-    isometry_penalty_max: float = 10.0
+    isometry_penalty_max: float = 3.0
     """Where the growth of rho_2 ends, in 1 / m, or at lambda / reach if that is more."""
     tolerance: float = 1e-3
     """Both residuals must fall below it. AJE on CMU clips settles to 1 % before."""
     max_steps: int = 1000
+    window: int | None = 100
+    """Frames. Longer clips are recovered in overlapping windows of at most so many; None recovers them whole. "It is
+    better to take 50 to 300 frames" (Sec. IV-A4): lambda falls with the length of the clip and mu does not, so over
+    a long one smoothness outweighs the data."""
+    overlap: int = 16
+    """Frames that neighbouring windows share; one answer fades into the other over them."""
+    fill_reach: float = 10.0
+    """Frames. A straight line across a gap is trusted 1 / (1 + d / fill_reach) at d frames from the nearest sample.
+    With no trust, the nuclear norm and the wavelet term draw frames without any sample to the origin."""
     # With the true bone lengths, 14 % of 132 corrupted clips of 1 frame and 3 % of 138 of 2 frames came back worse
     # than they went in (CMU subjects 05 and 09, 5 to 80 %); from 3 frames on none of 315 did.
     min_frames: int = 3

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
 from typing import Any
 
 import jax
 import numpy as np
 
-from motionrecover import intake
+from motionrecover import intake, windows
 from motionrecover.presets import Preset, find
 from motionrecover.skeleton import Skeleton
 from motionrecover.solver import Result, Trace, solve
@@ -44,7 +44,7 @@ class Recovery:
     """Verdict; `message` is its sentence."""
     steps: int
     trace: Trace
-    """One row a step."""
+    """One row a step, over all windows."""
     seconds: dict[str, float]
     """`compile` and `run`, apart. `compile` is 0 when a program for these shapes was at hand."""
 
@@ -113,48 +113,46 @@ def recover(
         bone_lengths,
         needs_bones=preset.isometry_weight is not None,
         centre=not printed,
+        fill_reach=preset.fill_reach,
     )
-    if len(clip.data) < preset.min_frames:
+    frames = len(clip.data)
+    if frames < preset.min_frames:
         raise ValueError(
-            f"received a clip of {len(clip.data)} frames: {preset.name} learns from time, "
-            f"give at least {preset.min_frames}"
+            f"received a clip of {frames} frames: {preset.name} learns from time, give at least {preset.min_frames}"
         )
 
-    # float64 is allowed in both cases: see `prox.singular_value_threshold`.
-    with jax.enable_x64(True):
-        problem = clip.problem(dtype, bucket(len(clip.data)))
-        arguments = (preset.solver(problem), problem)
-        leaves, structure = jax.tree.flatten(arguments)
-        start = time.perf_counter()
-        hits = _compile.cache_info().hits
-        run = _compile(structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves), steps)
-        compiled = time.perf_counter()
-        solution = jax.block_until_ready(run(*arguments))
-        done = time.perf_counter()
-        fresh = _compile.cache_info().hits == hits
-
-    positions = clip.restore(solution.positions) + clip.origin.astype(dtype)
+    window = frames if printed or preset.window is None else preset.window
+    spans = windows.split(frames, window, min(preset.overlap, window - 1))
+    stored = bucket(min(frames, window))
+    positions, outliers, solutions, seconds = [], [], [], {"compile": 0.0, "run": 0.0}
+    for span in spans:
+        solution, origin = _run(clip, span, stored, preset, dtype, steps, seconds)
+        if throw and _useless(solution.result):
+            raise RecoveryError(Result[solution.result])
+        size = span.stop - span.start
+        positions.append(clip.restore(solution.positions, size) + origin.astype(dtype))
+        outliers.append(clip.restore(solution.outliers, size))
+        solutions.append(solution)
+    worst = max(solutions, key=lambda solution: (_useless(solution.result), not _converged(solution.result)))
+    answer = windows.blend(positions, spans)
+    if _useless(worst.result):
+        answer = np.full_like(answer, np.nan)
     seen = clip.weights > 0
     # A joint merged with others has the group's E, plus what sets its own samples apart from the group's.
     apart = clip.data - clip.merged[:, clip.groups]
-    outliers = np.where(seen[..., None], clip.restore(solution.outliers) + apart, 0).astype(dtype)
-    if bool((solution.result == Result.nothing_observed) | (solution.result == Result.non_finite)):
-        if throw:
-            raise RecoveryError(Result[solution.result])
-        positions = np.full_like(positions, np.nan)
-    moved = np.linalg.norm(np.nan_to_num(clip.data) - positions, axis=-1)
+    moved = np.linalg.norm(np.nan_to_num(clip.data) - answer, axis=-1)
     recovery = Recovery(
-        positions=positions,
-        outliers=outliers,
+        positions=answer,
+        outliers=np.where(seen[..., None], windows.blend(outliers, spans) + apart, 0).astype(dtype),
         weights=np.where(seen, clip.weights * TRUST / np.maximum(moved, TRUST), 0),
         observed=seen,
         bone_lengths=clip.bone_lengths,
         skeleton=skeleton,
         fps=fps,
-        result=solution.result,
-        steps=int(solution.steps),
-        trace=jax.tree.map(np.asarray, solution.trace),
-        seconds={"compile": compiled - start if fresh else 0.0, "run": done - compiled},
+        result=worst.result,
+        steps=max(int(solution.steps) for solution in solutions),
+        trace=_merge([jax.tree.map(np.asarray, solution.trace) for solution in solutions]),
+        seconds=seconds,
     )
     if verbose:
         _print_trace(recovery)
@@ -170,11 +168,53 @@ def bucket(frames: int) -> int:
     return max(8, -(-frames // step) * step)
 
 
+def _run(clip, span, stored, preset, dtype, max_steps, seconds):
+    """The solution of one window and the origin of its coordinates; the time it took is added to `seconds`."""
+    # float64 is allowed for float32 data too: see `prox.singular_value_threshold`.
+    with jax.enable_x64(True):
+        problem, origin = clip.problem(span, stored, dtype)
+        arguments = (preset.solver(problem), problem)
+        leaves, structure = jax.tree.flatten(arguments)
+        misses, start = _compile.cache_info().misses, time.perf_counter()
+        program = _compile(structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves), max_steps)
+        compiled = time.perf_counter()
+        solution = jax.block_until_ready(program(*arguments))
+        seconds["run"] += time.perf_counter() - compiled
+        if _compile.cache_info().misses > misses:
+            seconds["compile"] += compiled - start
+    return solution, origin
+
+
 @lru_cache(maxsize=256)
 def _compile(structure, shapes, max_steps):
     """The solver's program for arguments of this structure and these shapes."""
     arguments = jax.tree.unflatten(structure, [jax.ShapeDtypeStruct(*shape) for shape in shapes])
     return jax.jit(lambda solver, problem: solve(solver, problem, max_steps)).lower(*arguments).compile()
+
+
+def _converged(result):
+    return bool(result == Result.converged)
+
+
+def _useless(result):
+    return bool((result == Result.nothing_observed) | (result == Result.non_finite))
+
+
+def _merge(traces):
+    """One trace from those of the windows: objective parts add up, of the rest the largest counts.
+
+    A window that ended before the others stays at its last row.
+    """
+    steps = [np.isfinite(trace.penalty).sum() for trace in traces]
+    last = max(steps)
+
+    def column(name):
+        columns = np.stack([getattr(trace, name) for trace in traces])
+        for values, count in zip(columns, steps, strict=True):
+            values[count:last] = values[count - 1] if count else np.nan
+        return columns.sum(0) if name in ("nuclear", "outlier", "isometry", "smoothness") else columns.max(0)
+
+    return Trace(**{field.name: column(field.name) for field in fields(Trace)})
 
 
 def _print_trace(recovery):

@@ -11,7 +11,7 @@ LAYERS = [
     {"motion", "skeleton", "prox", "wavelets", "metrics", "corrupt", "synthesize"},
     {"solver", "isometry"},
     {"evidence"},
-    {"presets", "intake", "io"},
+    {"presets", "intake", "windows", "io"},
     {"recover"},
     {"figures"},
     {"cli", "__main__"},

@@ -8,7 +8,7 @@ import pytest
 from helpers import GRAPHS, SKELETONS, TOLERANCE, clip, hit, lengths_of
 
 from motionrecover import PRESETS, Recovery, RecoveryError, Skeleton, metrics, recover, synthesize
-from motionrecover.intake import matrix_from, positions_from
+from motionrecover.intake import fill, matrix_from, positions_from
 
 SKELETON = SKELETONS["cmu25"]
 FRAMES = 64
@@ -124,6 +124,18 @@ def test_missing_samples_are_filled_and_named():
     assert (found.weights[~expected] == 0).all()
     assert (found.outliers[~expected] == 0).all()
     assert np.linalg.norm(found.positions - TRUTH, axis=-1)[~expected].max() < 0.05
+
+
+def test_missing_samples_never_drift_to_the_origin():
+    """Ten frames with nothing at all, or 30 % of all samples missing: about as near as straight lines in time."""
+    empty = TRUTH.copy()
+    empty[30:40] = np.nan
+    scattered = np.where(np.random.default_rng(0).random((FRAMES, 25, 1)) < 0.3, np.nan, TRUTH)
+    for data in (empty, scattered):
+        missing = np.isnan(data[..., 0])
+        found = recover(data, SKELETON, bone_lengths=LENGTHS).positions
+        line, error = (np.linalg.norm(x - TRUTH, axis=-1)[missing].mean() for x in (fill(data), found))
+        assert error < 1.1 * line + 2e-3
 
 
 def test_confidence_scales_trust():

@@ -24,7 +24,7 @@ from motionrecover.presets import PRESETS
 from motionrecover.recover import recover
 from motionrecover.skeleton import Skeleton
 
-STR = PRESETS["str_yang2020"]
+STR = replace(PRESETS["str_yang2020"], window=None)
 CLIPS = {"05_02": 300, "09_01": 148, "05_10": 300, "09_12": 1918, "05_05": 30, "09_03": 8}
 RATES = (0.0, 0.05, 0.2)
 ENDLESS = {"reach": 1e-9, "isometry_penalty_max": 1e9}

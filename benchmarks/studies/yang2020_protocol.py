@@ -34,7 +34,7 @@ class Plan:
     few: tuple[str, ...] = ("05_02", "05_10", "09_01", "09_05")
     """Clips of the start and penalty variants and of the sweeps; their first `PIECE` frames."""
     curves: tuple[str, ...] = ("05_02", "09_01", "09_12")
-    whole: tuple[str, ...] = ("05_02", "05_10", "09_12")
+    whole: tuple[str, ...] = ("05_02", "05_12", "05_18", "09_12")
     """Clips whose whole length is compared with its first `PIECE` frames, in energy."""
     bvh: tuple[str, ...] = ("05_01", "05_14")
     factors: tuple[float, ...] = (0.25, 0.5, 1.0, 1.5, 2.0, 4.0, 8.0)
