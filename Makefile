@@ -17,7 +17,7 @@ demo: install
 	$(BIN)/motionrecover demo --output demo --overwrite
 
 test: install
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 lint: install
 	$(BIN)/ruff check .

@@ -202,6 +202,8 @@ def _lengths(bone_lengths, skeleton, data):
     rest = skeleton.rest_lengths
     point = np.zeros(bones, bool) if rest is None else rest < ZERO_LENGTH
     if bone_lengths is None:
+        if not np.isfinite(data).any():
+            return np.ones(bones)  # nothing observed, nothing recovered: the solver's verdict says so
         lengths = estimate_bone_lengths(skeleton.bone_lengths_of(data))
         # A bone whose ends are never seen together is measured between interpolated ends.
         lengths = np.where(np.isnan(lengths), estimate_bone_lengths(skeleton.bone_lengths_of(fill(data))), lengths)

@@ -203,8 +203,9 @@ def test_verbose_prints_the_trace(capsys):
 
 def test_nothing_observed_is_a_verdict():
     nothing = np.full((16, 25, 3), np.nan)
-    with pytest.raises(RecoveryError, match="No sample is observed"):
-        recover(nothing, SKELETON, bone_lengths=LENGTHS)
+    for lengths in (LENGTHS, None):
+        with pytest.raises(RecoveryError, match="No sample is observed"):
+            recover(nothing, SKELETON, bone_lengths=lengths)
     found = recover(nothing, SKELETON, bone_lengths=LENGTHS, throw=False)
     assert np.isnan(found.positions).all()
     assert "No sample is observed" in found.message

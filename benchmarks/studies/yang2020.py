@@ -33,13 +33,13 @@ from benchmarks.studies.yang2020_protocol import (
     QUICK,
     SEED,
     STR,
+    WHOLE,
     Clip,
     Plan,
     clip_of,
     cmu25,
     data_folder,
     energy,
-    in_pieces,
     preset_positions,
     variant,
 )
@@ -89,18 +89,17 @@ def main(arguments: list[str] | None = None) -> dict:
 
 def table2(plan: Plan, folder: Path) -> dict:
     """Per clip: AJE and ABE of every method at every rate, on whole joints and, for subject 09, on single entries."""
+    presets = PRESETS | {
+        "windows of 300": replace(STR, window=PIECE),
+        "whole clip": WHOLE["str_yang2020"],
+    }
     methods = {
         "nothing": lambda clip, data, hit: peers.nothing(data),
         **{f"median {n}": lambda clip, data, hit, n=n: peers.running_median(data, n) for n in (5, 15, 31)},
         "oracle spline": lambda clip, data, hit: peers.oracle_spline(data, hit),
-        **{name: lambda clip, data, hit, p=p: preset_positions(p, clip, data) for name, p in PRESETS.items()},
-        "str_yang2020 in pieces": lambda clip, data, hit: in_pieces(clip, data),
-        **{
-            f"{name} early": lambda clip, data, hit, p=p: variant(p, clip, data, penalties="printed")[0]
-            for name, p in PRESETS.items()
-        },
+        **{name: lambda clip, data, hit, p=p: preset_positions(p, clip, data) for name, p in presets.items()},
     }
-    entries = [name for name in methods if name in ("nothing", "oracle spline", *PRESETS)]
+    entries = [name for name in methods if name in ("nothing", *PRESETS)]
     rows = []
     for subject, names in plan.subjects.items():
         for name in names:
@@ -159,24 +158,24 @@ def variants(plan: Plan, folder: Path) -> dict:
 
 
 def length(plan: Plan, folder: Path) -> dict:
-    """Short against whole clips: AJE at several lambda, and the energy of the answer over the energy of the truth."""
+    """The first frames against whole clips, solved at once: AJE, and the energy of the answer over that of the truth."""
     rates = [rate for rate in (5, 20, 80) if rate in plan.rates]
     rows = []
     for name in plan.whole:
-        whole = cmu25(name, folder)
+        clip = cmu25(name, folder)
         # `energy` needs a number of frames that is divisible by 4.
-        whole = whole.head(len(whole.positions) // 4 * 4)
-        for clip in (whole.head(PIECE), whole):
-            row = {"clip": name, "frames": len(clip.positions), "aje": {}, "energy": []}
+        whole = clip.head(len(clip.positions) // 4 * 4)
+        for part, factor in ((whole.head(PIECE), 1), (whole, 1), (whole, 2), (whole, 4)):
+            preset = replace(WHOLE["str_yang2020"], outlier_weight=factor)
+            row = {"clip": name, "frames": len(part.positions), "factor": factor, "aje": [], "energy": []}
             for rate in rates:
-                data, _ = clip.corrupted(rate)
-                for factor in (1, 2, 4):
-                    answer = preset_positions(replace(STR, outlier_weight=factor), clip, data)
-                    row["aje"].setdefault(str(factor), []).append(clip.score(answer)[0])
-                    if factor == 1:
-                        ratio = energy(clip, data, answer) / energy(clip, data, clip.positions)
-                        row["energy"].append(round(float(ratio), 4))
+                data, _ = part.corrupted(rate)
+                answer = preset_positions(preset, part, data)
+                ratio = energy(preset, part, data, answer) / energy(preset, part, data, part.positions)
+                row["aje"].append(part.score(answer)[0])
+                row["energy"].append(round(float(ratio), 4))
             rows.append(row)
+            print("length", name, row, flush=True)
     return {"rates": rates, "rows": rows}
 
 
@@ -204,7 +203,10 @@ def fig3(plan: Plan, folder: Path) -> list:
         for rate in (10, 20):
             data, _ = clip.corrupted(rate)
             for field, values in sweeps.items():
-                errors = [clip.score(preset_positions(replace(STR, **{field: value}), clip, data)) for value in values]
+                errors = [
+                    clip.score(preset_positions(replace(WHOLE["str_yang2020"], **{field: value}), clip, data))
+                    for value in values
+                ]
                 rows.append(
                     {
                         "clip": name,
@@ -239,16 +241,14 @@ def table3(plan: Plan, folder: Path) -> dict:
             clip = replace(clip, positions=clip.positions / metres, lengths=clip.lengths / metres)
             # gamma |F|, which the penalty of the isometry term must exceed, grows with the square of a length.
             presets = {
-                key: replace(preset, reach=preset.reach / metres, isometry_penalty_max=10 / metres**2)
+                key: replace(
+                    preset, reach=preset.reach / metres, isometry_penalty_max=STR.isometry_penalty_max / metres**2
+                )
                 for key, preset in PRESETS.items()
             }
             methods = {
                 "nothing": lambda clip, data, hit: data,
                 **{key: lambda clip, data, hit, p=p: preset_positions(p, clip, data) for key, p in presets.items()},
-                **{
-                    f"{key} early": lambda clip, data, hit, p=p: variant(p, clip, data, penalties="printed")[0]
-                    for key, p in presets.items()
-                },
             }
             inch = UNITS["in"] if metres == 1 else 1.0
             found = _rows(clip, plan.rates, methods, amplitude=2.5 * inch)["aje"]
@@ -260,13 +260,13 @@ def table3(plan: Plan, folder: Path) -> dict:
 
 
 def table6(plan: Plan, folder: Path) -> list:
-    """Seconds for 40 iterations of each preset and of the plain NumPy and SciPy reference, on made-up motion."""
+    """Seconds for 40 iterations of each preset and of the plain NumPy and SciPy reference, on made-up motion, whole; and the preset as it is."""
     rows = []
     for frames in plan.lengths:
         clip = clip_of("0", synthesize(frames / 120, 120))
         data, _ = clip.corrupted(20)
         row = {"frames": frames, "seconds": {}, "compile": {}}
-        for name, preset in PRESETS.items():
+        for name, preset in WHOLE.items():
             call = partial(recover, data, clip.skeleton, preset=preset, bone_lengths=clip.lengths, max_steps=40)
             first = call()
             row["compile"][name] = round(first.seconds["compile"], 2)
@@ -284,15 +284,16 @@ def _reference(clip: Clip, data: np.ndarray, ours: np.ndarray) -> tuple[float, f
     """Seconds of the reference with the settings of the preset, and the mean distance of its answer from ours."""
     taken = intake.take_in(data, clip.skeleton, bone_lengths=clip.lengths)
     with jax.enable_x64(True):
-        solver = STR.solver(taken.problem(np.dtype(np.float64), len(data)))
+        problem, origin = taken.problem(slice(0, len(data)), len(data), np.dtype(np.float64))
+        solver = STR.solver(problem)
     settings = [np.asarray(x) for x in (solver.outlier_weight, solver.isometry_weight, solver.smoothness_weight)]
     rho = [np.asarray(x) for x in (solver.penalty, solver.penalty_growth, solver.penalty_max)]
     start = time.perf_counter()
     answer, _, _ = algorithm1(
-        intake.matrix_from(data - taken.origin), clip.skeleton.edges, clip.lengths, *settings, *rho, steps=40
+        intake.matrix_from(data - origin), clip.skeleton.edges, clip.lengths, *settings, *rho, steps=40
     )
     seconds = time.perf_counter() - start
-    return float(f"{seconds:.3g}"), metrics.aje(intake.positions_from(answer) + taken.origin, ours)
+    return float(f"{seconds:.3g}"), metrics.aje(intake.positions_from(answer) + origin, ours)
 
 
 def dumps(results: dict) -> str:

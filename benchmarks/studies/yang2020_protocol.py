@@ -21,6 +21,8 @@ from motionrecover.solver import solve
 
 SEED = 2020
 STR = PRESETS["str_yang2020"]
+WHOLE = {name: replace(preset, window=None) for name, preset in PRESETS.items()}
+"""The models on the whole clip at once, as the paper describes them; the presets take long clips in windows."""
 PIECE = 300
 """Frames. "It is better to take 50 to 300 frames" (Sec. IV-A4)."""
 
@@ -117,19 +119,19 @@ def variant(preset, clip: Clip, data: np.ndarray, *, centre=True, zero=False, pe
     """
     taken = intake.take_in(data, clip.skeleton, bone_lengths=clip.lengths, centre=centre)
     with jax.enable_x64(True):
-        problem = taken.problem(dtype, bucket(len(data)))
+        problem, origin = taken.problem(slice(0, len(data)), bucket(len(data)), np.dtype(dtype))
         solver = replace(preset.solver(problem), zero_start=zero)
         if penalties == "printed":
             solver = replace(solver, penalty=jnp.full(3, 0.5, dtype), penalty_max=jnp.full(3, 1e6, dtype))
         solution = _solve(solver, problem, 100 if penalties == "printed" else preset.max_steps)
         energy = np.asarray(solution.trace.objective)[: int(solution.steps)]
-        return taken.restore(solution.positions) + taken.origin, energy
+        return taken.restore(solution.positions, len(data)) + origin, energy
 
 
 _solve = jax.jit(solve, static_argnums=2)
 
 
-def energy(clip: Clip, data: np.ndarray, positions: np.ndarray) -> float:
+def energy(preset, clip: Clip, data: np.ndarray, positions: np.ndarray) -> float:
     """Eq. 7 of Yang et al. 2020 at any positions, under the origin and the weights of the preset.
 
     The number of frames must be divisible by 4.
@@ -139,13 +141,7 @@ def energy(clip: Clip, data: np.ndarray, positions: np.ndarray) -> float:
     residual, _ = reference.linearise(matrix, clip.skeleton.edges, clip.lengths)
     return (
         np.linalg.svd(matrix, compute_uv=False).sum()
-        + STR.outlier_weight / np.sqrt(len(data)) * np.abs(error).sum()
-        + STR.isometry_weight / 2 * residual @ residual
-        + STR.smoothness_weight * np.abs(reference.wavedec(matrix, STR.wavelet, STR.level)).sum()
+        + preset.outlier_weight / np.sqrt(len(data)) * np.abs(error).sum()
+        + preset.isometry_weight / 2 * residual @ residual
+        + preset.smoothness_weight * np.abs(reference.wavedec(matrix, preset.wavelet, preset.level)).sum()
     )
-
-
-def in_pieces(clip: Clip, data: np.ndarray) -> np.ndarray:
-    """The paper's model on consecutive pieces of at most `PIECE` frames."""
-    count = -(-len(data) // PIECE)
-    return np.concatenate([preset_positions(STR, clip, piece) for piece in np.array_split(data, count)])

@@ -67,6 +67,7 @@ VARIANTS = {
     "preset in float64": "preset in float64",
     "bones estimated": "preset, bone lengths estimated from the corrupted clip",
 }
+SPANS = {"windows of 300": "in windows of 300 frames, not 100", "whole clip": "the whole clip at once"}
 READINGS = {
     "metres": "metres",
     "inches": "inches",
@@ -128,17 +129,17 @@ def _table2(results: dict, subject: str) -> str:
             ["... clips without glitches", *_mm(_mean(clean, preset))],
         ]
         if preset == "str_yang2020":
-            lines.append(["... in pieces of at most 300 frames", *_mm(_mean(rows, "str_yang2020 in pieces"))])
-        lines.append(["... stopped early: A = D, ρ as printed", *_mm(_mean(rows, f"{preset} early"))])
+            lines += [[f"... {label}", *_mm(_mean(rows, method))] for method, label in SPANS.items()]
     lines += [[label, *_mm(_mean(rows, peer))] for peer, label in PEERS.items()]
     return _table([f"subject {subject}, {len(rows)} clips ({len(clean)} without glitches)", *_rates(results)], lines)
 
 
 def _entries(results: dict) -> str:
     rows = [row["entries"] for row in _clips(results, "09")]
-    lines = [[f"`{preset}`", *_mm(_mean(rows, preset))] for preset in NAMES]
-    lines += [[PEERS[peer], *_mm(_mean(rows, peer))] for peer in ("nothing", "oracle spline")]
-    return _table(["subject 09, single entries", *_rates(results)], lines)
+    lines = [["**Yang 2020, printed**", *(f"**{value}**" for value in TABLE2["09"]["str_yang2020"])]]
+    lines += [[f"`{preset}`", *_mm(_mean(rows, preset))] for preset in NAMES]
+    lines.append([PEERS["nothing"], *_mm(_mean(rows, "nothing"))])
+    return _table(["subject 09, single coordinates", *_rates(results)], lines)
 
 
 def _variants(results: dict) -> str:
@@ -160,15 +161,17 @@ def _variants(results: dict) -> str:
 
 
 def _length(results: dict) -> str:
-    study, lines = results["length"], []
-    for row in study["rows"]:
-        line = [f"{row['clip']}, {row['frames']} frames"]
-        for factor in ("1", "2", "4"):
-            line += _mm(row["aje"][factor])
-        lines.append(line + [f"{ratio:.2f}" for ratio in row["energy"]])
-    factors = {"1": "λ = 1/√T", "2": "2/√T", "4": "4/√T"}
-    head = [f"{label}, {rate} %" for label in factors.values() for rate in study["rates"]]
-    return _table(["", *head, *(f"energy {rate} %" for rate in study["rates"])], lines)
+    study = results["length"]
+    lines = [
+        [
+            f"{row['clip']}, {row['frames']} frames, λ = {row['factor']}/√T",
+            *_mm(row["aje"]),
+            *(f"{ratio:.2f}" for ratio in row["energy"]),
+        ]
+        for row in study["rows"]
+    ]
+    rates = [f"{rate} %" for rate in study["rates"]]
+    return _table(["solved at once", *rates, *(f"energy {rate}" for rate in rates)], lines)
 
 
 def _worse(results: dict) -> str:
@@ -179,15 +182,12 @@ def _worse(results: dict) -> str:
         return [str(x) for x in np.sum([np.greater(r["aje"][method], r["aje"][other]) for r in rows], 0)]
 
     lines = [[f"`{preset}` worse than its input", *count(preset, "nothing")] for preset in NAMES]
+    lines.append(["`str_yang2020` on the whole clip worse than its input", *count("whole clip", "nothing")])
     lines += [
         [f"`str_yang2020` worse than the {PEERS[f'median {n}']}", *count("str_yang2020", f"median {n}")]
         for n in (5, 15, 31)
     ]
-    lines += [
-        ["`str_yang2020` worse than the oracle spline", *count("str_yang2020", "oracle spline")],
-        ["`str_yang2020` worse than stopped early", *count("str_yang2020", "str_yang2020 early")],
-        ["`str_yang2020` worse than in pieces", *count("str_yang2020", "str_yang2020 in pieces")],
-    ]
+    lines.append(["`str_yang2020` worse than the oracle spline", *count("str_yang2020", "oracle spline")])
     return _table([f"of {len(rows)} clips", *_rates(results)], lines)
 
 
@@ -198,8 +198,7 @@ def _table5(results: dict) -> str:
         [label, *_mm(row["aje"][method])]
         for method, label in {
             "str_yang2020": "`str_yang2020`",
-            "str_yang2020 in pieces": "... in pieces of at most 300 frames",
-            "str_yang2020 early": "... stopped early: A = D, ρ as printed",
+            **{method: f"... {label}" for method, label in SPANS.items()},
             "median 5": PEERS["median 5"],
             "nothing": PEERS["nothing"],
         }.items()
@@ -214,11 +213,10 @@ def _table3(results: dict) -> str:
         lines = []
         for preset, name in NAMES.items():
             lines.append([f"**{name}, printed**", *(f"**{value / 1000:.3f}**" for value in printed[preset])])
-            for method, what in ((preset, f"`{preset}`"), (f"{preset} early", "... stopped early")):
-                lines += [
-                    [f"{what}, {label}", *(f"{x:.3f}" for x in readings[reading]["aje"][method])]
-                    for reading, label in READINGS.items()
-                ]
+            lines += [
+                [f"`{preset}`, {label}", *(f"{x:.3f}" for x in readings[reading]["aje"][preset])]
+                for reading, label in READINGS.items()
+            ]
         lines.append(["do nothing", *(f"{x:.3f}" for x in readings["metres"]["aje"]["nothing"])])
         parts.append(_table([clip, *_rates(results)], lines))
         parts.append(
@@ -269,22 +267,22 @@ def _summary(results: dict) -> str:
     lines = []
     for subject in TABLE2:
         rows = _clips(results, subject)
-        ours, early = (_mean(rows, f"str_yang2020{how}") for how in ("", " early"))
+        ours, whole = _mean(rows, "str_yang2020"), _mean(rows, "whole clip")
         printed = TABLE2[subject]["str_yang2020"]
         lines.append(
             f"Subject {subject}, 5, 10, 15, 20 %: the paper prints {', '.join(map(str, printed[few]))} mm; "
-            f"`str_yang2020` leaves {listed(ours[few])}, in pieces of at most 300 frames "
-            f"{listed(_mean(rows, 'str_yang2020 in pieces')[few])}, stopped early {listed(early[few])}. At 80 % the "
-            f"paper prints {printed[4]}; measured {listed([ours[4], early[4]])}. The 80 % column is **not reproduced**."
+            f"`str_yang2020` leaves {listed(ours[few])}, solved whole {listed(whole[few])}. At 80 % the paper prints "
+            f"{printed[4]}; measured {listed([ours[4], whole[4]])}."
         )
     rows = results["table2"]["clips"]
-    worse = [
-        f"{row['clip']} at {rate} % ({row['aje']['nothing'][k]:.1f} in, {row['aje']['str_yang2020'][k]:.1f} out)"
-        for row in rows
-        for k, rate in enumerate(results["table2"]["rates"])
-        if row["aje"]["str_yang2020"][k] > row["aje"]["nothing"][k]
-    ]
-    lines.append(f"Clips that `str_yang2020` returned worse than it got them: {', '.join(worse) or 'none'}.")
+    for method, label in (("str_yang2020", "`str_yang2020`"), ("whole clip", "The same model on the whole clip")):
+        worse = [
+            f"{row['clip']} at {rate} % ({row['aje']['nothing'][k]:.1f} mm in, {row['aje'][method][k]:.1f} out)"
+            for row in rows
+            for k, rate in enumerate(results["table2"]["rates"])
+            if row["aje"][method][k] > row["aje"]["nothing"][k]
+        ]
+        lines.append(f"{label} returned worse than it got: {', '.join(worse) or 'no clip at any rate'}.")
     lines.append(
         f"A running median of 5 frames leaves {listed(_mean(rows, 'median 5'))} mm at 5 to 80 % over all clips, "
         f"one of 15 frames {listed(_mean(rows, 'median 15'))}, `str_yang2020` {listed(_mean(rows, 'str_yang2020'))}; "
