@@ -169,16 +169,16 @@ def _positions(data, skeleton):
 
 
 def _mask(mask, name, shape, dtype):
-    """An (frame, joint) argument, ones where it is left out."""
+    """An (frame, joint) argument, ones where it is left out or NaN."""
     if mask is None:
         return np.ones(shape, dtype)
-    mask = np.asarray(mask)
+    mask = np.asarray(mask).astype(dtype)
     if mask.shape != shape:
         raise ValueError(f"received {name} of shape {mask.shape}: the clip has (frame, joint) = {shape}")
-    if dtype is not bool and not ((mask >= 0) & (mask <= 1)).all():
-        worst = mask[~((mask >= 0) & (mask <= 1))][0]
-        raise ValueError(f"received a {name} of {worst}: give values from 0 (ignore) to 1 (trust)")
-    return mask.astype(dtype)
+    outside = (mask < 0) | (mask > 1)
+    if outside.any():
+        raise ValueError(f"received a {name} of {mask[outside][0]}: give values from 0 (ignore) to 1 (trust)")
+    return np.where(np.isnan(mask), 1, mask).astype(dtype)
 
 
 def _connected(skeleton):

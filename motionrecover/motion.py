@@ -21,7 +21,7 @@ class Motion:
 
     `positions` is (frame, joint, 3) in metres with y up, NaN where nothing was measured. `observed` (frame, joint) is
     True where a joint was measured; left out, it is True where the position is finite. `confidence` (frame, joint)
-    in [0, 1] says how far a measurement is to be trusted, None where the source does not say. `fps` is frames a
+    in [0, 1] says how far a measurement is to be trusted, NaN or None where the source does not say. `fps` is frames a
     second. `unit` (metres in one unit) and `up` (x, y or z) describe the file that the clip came from. `history`
     tells what was read, assumed and done, in order.
 
@@ -66,7 +66,7 @@ class Motion:
                 raise ValueError(
                     f"received {name} of shape {np.shape(mask)}: the clip has (frame, joint) = {finite.shape}"
                 )
-        if self.confidence is not None and not ((self.confidence >= 0) & (self.confidence <= 1)).all():
+        if self.confidence is not None and ((self.confidence < 0) | (self.confidence > 1)).any():
             raise ValueError("received a confidence outside 0 (ignore) to 1 (trust)")
         object.__setattr__(self, "positions", positions)
         object.__setattr__(self, "observed", observed & finite)

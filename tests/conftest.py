@@ -6,10 +6,14 @@ from pathlib import Path
 
 import jax
 import pytest
+from hypothesis import settings
 
 from motionrecover.io import MotionFormatError
 
 jax.config.update("jax_enable_x64", True)  # float32 is asked for where it is tested
+# Compiling makes the first example of a test slow, and a seeded test is the same test every time.
+settings.register_profile("motionrecover", deadline=None, derandomize=True)
+settings.load_profile("motionrecover")
 
 
 @pytest.fixture(scope="session")

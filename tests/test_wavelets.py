@@ -64,7 +64,7 @@ def test_equals_pywavelets_where_pywavelets_is_orthogonal(wavelet, level):
     np.testing.assert_allclose(decompose(jnp.asarray(x), wavelet, level), expected, atol=1e-10)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(frames=st.integers(1, 48), wavelet=st.sampled_from(["haar", "db10"]), seed=st.integers(0, 99))
 def test_what_stands_in_the_padding_counts_for_nothing(frames, wavelet, seed):
     rng = np.random.default_rng(seed)
