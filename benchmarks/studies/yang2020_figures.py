@@ -30,7 +30,7 @@ def draw(results: dict, folder: Path) -> None:
         ("bone_errors_09", _bone_errors(results)),
     ):
         # Without metadata the same results give the same bytes.
-        figure.savefig(folder / f"yang2020_{name}.png", dpi=90, metadata={"Software": None})
+        figure.savefig(folder / f"yang2020_{name}.png", dpi=72, metadata={"Software": None})
 
 
 def _figure(width: float, height: float) -> Figure:
@@ -40,7 +40,7 @@ def _figure(width: float, height: float) -> Figure:
 
 
 def _energy(results: dict) -> Figure:
-    """Fig. 2: energy over its first value."""
+    """Fig. 2: energy over that of the preset's last step."""
     figure = _figure(8, 3.6)
     for axis, (run, title) in zip(
         figure.subplots(1, 2, sharey=True),
@@ -49,10 +49,10 @@ def _energy(results: dict) -> Figure:
     ):
         for row, colour in zip(results["fig2"], COLOURS, strict=False):
             energy = np.array(row[run]["energy"])
-            axis.plot(row[run]["steps"], energy / energy[0], color=colour, label=row["clip"])
-        axis.set(xscale="log", xlabel="iteration", title=title)
+            axis.plot(row[run]["steps"], energy / row["preset"]["energy"][-1], color=colour, label=row["clip"])
+        axis.set(xscale="log", yscale="log", xlabel="iteration", title=title)
         axis.grid(alpha=0.3)
-    figure.axes[0].set_ylabel("energy (Eq. 8) / its value after step 1")
+    figure.axes[0].set_ylabel("energy (Eq. 8) / the preset's last")
     figure.axes[0].legend(frameon=False)
     return figure
 
@@ -61,7 +61,7 @@ def _weights(results: dict) -> Figure:
     """Fig. 3: AJE (left axis, full) and ABE (right axis, dashed) against each weight."""
     rows = results["fig3"]
     clips = list(dict.fromkeys(row["clip"] for row in rows))
-    figure = _figure(11.5, 8)
+    figure = _figure(11, 7.5)
     for line, (field, (label, printed)) in zip(
         figure.subplots(len(SWEEPS), len(clips), squeeze=False), SWEEPS.items(), strict=True
     ):
@@ -72,15 +72,18 @@ def _weights(results: dict) -> Figure:
                 axis.plot(row["values"], row["aje"], "o-", color=colour, markersize=4, label=f"AJE, {rate} %")
                 bone_axis.plot(row["values"], row["abe"], "s--", color=colour, markersize=3, label=f"ABE, {rate} %")
             axis.axvline(printed, color="0.5", linewidth=1, linestyle=":")
-            axis.set(xscale="log", xlabel=label, ylim=(0, None))
-            bone_axis.set_ylim(0, None)
+            axis.set(xscale="log", yscale="log", xlabel=label)
+            bone_axis.set_yscale("log")
+            if field == "outlier_weight":
+                axis.set_xticks(row["values"], [f"{value:g}" * (value != 1.5) for value in row["values"]])
+                axis.minorticks_off()
             if field == "outlier_weight":
                 axis.set_title(clip)
             if clip == clips[0]:
                 axis.set_ylabel("AJE (mm)")
             if clip == clips[-1]:
                 bone_axis.set_ylabel("ABE (mm)")
-    handles = figure.axes[0].lines[:2] + figure.axes[len(clips)].lines[:2]
+    handles = figure.axes[0].lines[:2] + bone_axis.lines[:2]
     figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False)
     return figure
 
@@ -104,11 +107,15 @@ def _bone_errors(results: dict) -> Figure:
     """Fig. 5: ABE of the sequences of subject 09, in centimetres as printed."""
     rows, rates = _subject09(results)
     figure = _figure(11.5, 3.4)
-    for k, axis in enumerate(figure.subplots(1, 4)):
+    for k, axis in enumerate(figure.subplots(1, 4, sharey=True)):
         for preset, colour, marker in zip(PRESETS, COLOURS, MARKERS, strict=False):
             errors = [row["abe"][preset][k] / 10 for row in rows]
-            axis.plot([row["clip"][3:] for row in rows], errors, f"{marker}-", color=colour, markersize=4, label=preset)
-        axis.set(title=f"{rates[k]} %", xlabel="sequence of subject 09", yscale="log")
+            axis.plot(
+                [int(row["clip"][3:]) for row in rows], errors, f"{marker}-", color=colour, markersize=4, label=preset
+            )
+        axis.set(
+            title=f"{rates[k]} %", xlabel="sequence of subject 09", yscale="log", xticks=range(1, len(rows) + 1, 2)
+        )
         axis.grid(alpha=0.3)
     figure.axes[0].set_ylabel("ABE (cm)")
     figure.legend(handles=figure.axes[0].lines, loc="outside upper center", ncols=3, frameon=False)

@@ -107,9 +107,9 @@ def clip_of(name: str, motion: Motion) -> Clip:
     return Clip(name, positions, motion.skeleton, np.median(motion.skeleton.bone_lengths_of(positions), 0))
 
 
-def preset_positions(preset, clip: Clip, data: np.ndarray) -> np.ndarray:
+def preset_positions(preset, clip: Clip, data: np.ndarray, dtype=np.float32) -> np.ndarray:
     """The answer of the public front door with the true bone lengths, NaN where the solver failed."""
-    return recover(data, clip.skeleton, preset=preset, bone_lengths=clip.lengths, throw=False).positions
+    return recover(data, clip.skeleton, preset=preset, bone_lengths=clip.lengths, dtype=dtype, throw=False).positions
 
 
 def variant(preset, clip: Clip, data: np.ndarray, *, centre=True, zero=False, penalties="data", dtype=np.float32):

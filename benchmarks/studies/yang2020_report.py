@@ -72,7 +72,6 @@ READINGS = {
     "metres": "metres",
     "inches": "inches",
     "file": "units of the file",
-    "rigid": "metres, 25 joints",
 }
 
 
@@ -152,7 +151,7 @@ def _variants(results: dict) -> str:
             # Energies compare only under the same origin.
             base = "preset not centred" if run in ("letter", "from data", "preset not centred") else "preset"
             ratio = np.mean([np.divide(row["energy"][run], row["energy"][base]) for row in rows], 0)
-            line += [f"{x:.2f}" for x in ratio] + [f"{np.mean([row['steps'][run] for row in rows]):.0f}"]
+            line += [f"{x:.3f}" for x in ratio] + [f"{np.mean([row['steps'][run] for row in rows]):.0f}"]
         else:
             line += [""] * (count + 1)
         lines.append(line)
@@ -166,7 +165,7 @@ def _length(results: dict) -> str:
         [
             f"{row['clip']}, {row['frames']} frames, λ = {row['factor']}/√T",
             *_mm(row["aje"]),
-            *(f"{ratio:.2f}" for ratio in row["energy"]),
+            *(f"{ratio:.3f}" for ratio in row["energy"]),
         ]
         for row in study["rows"]
     ]
@@ -217,12 +216,10 @@ def _table3(results: dict) -> str:
                 [f"`{preset}`, {label}", *(f"{x:.3f}" for x in readings[reading]["aje"][preset])]
                 for reading, label in READINGS.items()
             ]
-        lines.append(["do nothing", *(f"{x:.3f}" for x in readings["metres"]["aje"]["nothing"])])
+        lines += [
+            [PEERS[peer], *(f"{x:.3f}" for x in readings["metres"]["aje"][peer])] for peer in ("median 5", "nothing")
+        ]
         parts.append(_table([clip, *_rates(results)], lines))
-        parts.append(
-            f"Mean deviation of the true bones of {clip} from constant lengths: {readings['inches']['not_rigid']:.3f} "
-            f"inches with 21 joints, {readings['rigid']['not_rigid']:.3f} with 25."
-        )
     return "\n\n".join(parts)
 
 
@@ -235,6 +232,7 @@ def _table6(results: dict) -> str:
             [
                 str(row["frames"]),
                 f"**{ratio:.0f}**",
+                f"{row['apart_mm']:.2f}",
                 *(f"{seconds[preset] / seconds['lowrank_wang2016']:.1f}" for preset in list(NAMES)[1:]),
                 *(f"{seconds[preset]:.3f}" for preset in NAMES),
                 f"{row['compile']['str_yang2020']:.1f}",
