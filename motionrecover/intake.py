@@ -12,7 +12,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
-from motionrecover.evidence.bone_lengths import estimate_bone_lengths
+from motionrecover.evidence.bone_lengths import LEAST_FRAMES, estimate_bone_lengths
 from motionrecover.skeleton import ZERO_LENGTH, Skeleton, components
 from motionrecover.solver import Problem
 
@@ -76,6 +76,7 @@ def take_in(
     needs_bones: bool = True,
     centre: bool = True,
     fill_reach: float = 10.0,
+    min_frames: int = 1,
 ) -> Intake:
     """Check the arguments of `recover` and prepare them. Raises `ValueError` for anything that cannot be used.
 
@@ -84,14 +85,19 @@ def take_in(
     """
     data = _positions(data, skeleton)
     shape, names = data.shape[:2], skeleton.names
+    if shape[0] < min_frames:
+        raise ValueError(
+            f"received a clip of {shape[0]} frame{'s' * (shape[0] > 1)}: the model learns from time, "
+            f"give at least {min_frames}"
+        )
     seen = np.isfinite(data).all(-1) & _mask(observed, "observed", shape, bool)
     weights = np.where(seen, _mask(confidence, "confidence", shape, np.float64), 0.0)
     data = np.where(seen[..., None], data, np.nan)
     if seen.any() and not seen.any(0).all():
         missing = [names[joint] for joint in np.flatnonzero(~seen.any(0))]
         raise ValueError(
-            f"joint {', '.join(missing)} is never observed in {shape[0]} frames: leave it out with `select`, "
-            "nothing in the clip says where it was"
+            f"received {len(missing)} of {len(names)} joints without a single sample ({', '.join(missing)}): "
+            "leave them out with `select`, nothing in the clip says where they were"
         )
     if needs_bones:
         _connected(skeleton)
@@ -100,16 +106,15 @@ def take_in(
     zero = lengths < ZERO_LENGTH
     if len(lengths) and zero.all():
         raise ValueError("all joints coincide in every frame: give positions of a body that has an extent")
-    parts = components([edge for edge, z in zip(skeleton.edges, zero, strict=True) if z], len(names))
-    groups = np.empty(len(names), int)
-    for group, members in enumerate(parts):
-        groups[members] = group
-    kept = {}
-    for (i, j), length, z in zip(skeleton.edges, lengths, zero, strict=True):
-        if not z:
-            kept.setdefault((min(groups[i], groups[j]), max(groups[i], groups[j])), length)
-    merged = np.stack([_median(data[:, members]) for members in parts], 1)
-    merged_weights = np.stack([weights[:, members].max(1) for members in parts], 1)
+    if needs_bones and bone_lengths is None and shape[0] < LEAST_FRAMES:
+        raise ValueError(
+            f"received a clip of {shape[0]} frames without bone lengths: they cannot be estimated from fewer than "
+            f"{LEAST_FRAMES}, give bone_lengths=, for example those of the rest pose (--bone-lengths rest)"
+        )
+    groups, edges, edge_lengths = _merge(skeleton, lengths, zero)
+    members = [np.flatnonzero(groups == group) for group in range(groups.max() + 1)]
+    merged = np.stack([_median(data[:, joints]) for joints in members], 1)
+    merged_weights = np.stack([weights[:, joints].max(1) for joints in members], 1)
     if seen.any():
         away = _frames_away(np.isfinite(merged[..., 0]))
         merged_weights = np.where(away > 0, 1 / (1 + away / fill_reach), merged_weights)
@@ -120,8 +125,8 @@ def take_in(
         merged=fill(merged),
         merged_weights=merged_weights,
         groups=groups,
-        edges=tuple((int(i), int(j)) for i, j in kept),
-        edge_lengths=np.array(list(kept.values()), np.float64),
+        edges=edges,
+        edge_lengths=edge_lengths,
         centre=centre,
     )
 
@@ -218,6 +223,20 @@ def _lengths(bone_lengths, skeleton, data):
             f"received a length of {lengths[bone]} for bone {names[bone]}: lengths are positive, in metres"
         )
     return lengths
+
+
+def _merge(skeleton, lengths, zero):
+    """Solver joint of each joint where bones of no length are one joint, and the solver's bones with their lengths."""
+    groups = np.empty(len(skeleton.names), int)
+    points = [edge for edge, z in zip(skeleton.edges, zero, strict=True) if z]
+    for group, joints in enumerate(components(points, len(skeleton.names))):
+        groups[joints] = group
+    bones: dict[tuple[int, int], float] = {}
+    for (i, j), length, z in zip(skeleton.edges, lengths, zero, strict=True):
+        if not z:
+            a, b = sorted((int(groups[i]), int(groups[j])))
+            bones.setdefault((a, b), length)
+    return groups, tuple(bones), np.array(list(bones.values()), np.float64)
 
 
 def _median(positions):

@@ -114,13 +114,9 @@ def recover(
         needs_bones=preset.isometry_weight is not None,
         centre=not printed,
         fill_reach=preset.fill_reach,
+        min_frames=preset.min_frames,
     )
     frames = len(clip.data)
-    if frames < preset.min_frames:
-        raise ValueError(
-            f"received a clip of {frames} frames: {preset.name} learns from time, give at least {preset.min_frames}"
-        )
-
     window = frames if printed or preset.window is None else preset.window
     spans = windows.split(frames, window, min(preset.overlap, window - 1))
     stored = bucket(min(frames, window))

@@ -11,18 +11,18 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
+from benchmarks.studies.yang2020_protocol import cmu25, data_folder
 from motionrecover import corrupt, metrics
-from motionrecover.io import load
+from motionrecover.evidence.bone_lengths import estimate_bone_lengths
 from motionrecover.io.atomic import write_beside
 from motionrecover.presets import PRESETS
 from motionrecover.recover import recover
-from motionrecover.skeleton import Skeleton
 
 STR = replace(PRESETS["str_yang2020"], window=None)
 CLIPS = {"05_02": 300, "09_01": 148, "05_10": 300, "09_12": 1918, "05_05": 30, "09_03": 8}
@@ -42,26 +42,17 @@ VARIANTS = {
     "isometry penalty up to 100": {"isometry_penalty_max": 100.0},
     "printed": {"initialisation": "printed"},
 }
-SHORT = {
-    "clips": ("05_02", "05_10", "09_01", "09_05", "09_11"),
-    "frames": (1, 2, 3, 4, 8),
-    "rates": (0.05, 0.2, 0.8),
-    "seeds": 8,
-}
-
-
-def truth_of(data: Path, clip: str) -> tuple[np.ndarray, Skeleton, np.ndarray]:
-    """Positions (frame, joint, 3) of the 25 joints, their skeleton and true bone lengths."""
-    motion = load(data / "cmu" / "npz" / f"{clip}.npz").select(Skeleton.standard("cmu25").names)
-    return motion.positions, motion.skeleton, motion.skeleton.bone_lengths_of(motion.positions).mean(0)
+SHORT = {"clips": ("05_02", "05_10", "09_01", "09_05", "05_15", "09_11"), "frames": (1, 2, 3, 4, 5, 6, 7, 8)}
+SHORT_RATES = (0.05, 0.2, 0.8)
+SHORT_SEEDS = 30
 
 
 def schedules(data: Path) -> dict:
     """AJE in mm after 40 steps and at the end, and the steps to the end, of every variant on every clip and rate."""
     table: dict[str, dict] = {name: {} for name in VARIANTS}
     for clip, frames in CLIPS.items():
-        positions, skeleton, lengths = truth_of(data, clip)
-        truth = positions[:frames]
+        known = cmu25(clip, data)
+        truth, skeleton, lengths = known.positions[:frames], known.skeleton, known.lengths
         for rate in RATES:
             corrupted, _ = corrupt.joints(truth, rate, seed=1)
             for name, changes in VARIANTS.items():
@@ -80,21 +71,28 @@ def schedules(data: Path) -> dict:
 
 
 def short_clips(data: Path) -> dict:
-    """For each number of frames: how many corrupted pieces came back worse, of how many, and the mean ratio of AJE."""
+    """How many corrupted pieces of a few frames came back worse, of how many, and the mean ratio of AJE."""
     preset, table = replace(STR, min_frames=1), {}
     for frames in SHORT["frames"]:
-        ratios = []
-        for clip in SHORT["clips"]:
-            positions, skeleton, lengths = truth_of(data, clip)
-            truth = positions[40 : 40 + frames]
-            for rate in SHORT["rates"]:
-                for seed in range(SHORT["seeds"]):
-                    corrupted, hit = corrupt.joints(truth, rate, seed=seed)
+        for rate in SHORT_RATES:
+            ratios: dict[str, list[float]] = {"true lengths": [], "estimated lengths": []}
+            for clip, seed in product(SHORT["clips"], range(SHORT_SEEDS)):
+                known = cmu25(clip, data)
+                truth = known.positions[40 : 40 + frames]
+                corrupted, hit = corrupt.joints(truth, rate, seed=seed)
+                estimate = estimate_bone_lengths(known.skeleton.bone_lengths_of(corrupted))
+                for name, lengths in zip(ratios, (known.lengths, estimate), strict=True):
                     if hit.any():
-                        found = recover(corrupted, skeleton, preset=preset, bone_lengths=lengths).positions
-                        ratios.append(metrics.aje(found, truth) / metrics.aje(corrupted, truth))
-        worse = sum(ratio > 1 for ratio in ratios)
-        table[str(frames)] = {"worse": worse, "of": len(ratios), "mean ratio": round(float(np.mean(ratios)), 3)}
+                        found = recover(corrupted, known.skeleton, preset=preset, bone_lengths=lengths).positions
+                        ratios[name].append(metrics.aje(found, truth) / metrics.aje(corrupted, truth))
+            table[f"{frames} frames, {rate:.0%}"] = {
+                name: {
+                    "worse": sum(r > 1 for r in found),
+                    "of": len(found),
+                    "mean ratio": round(float(np.mean(found)), 3),
+                }
+                for name, found in ratios.items()
+            }
     return table
 
 
@@ -103,14 +101,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results" / "penalties.json")
     output = parser.parse_args().output
-    data = Path(os.environ.get("MOTIONRECOVER_DATA", Path(__file__).parents[3] / "shared" / "data"))
+    data = data_folder()
     results = {"unit": "mm", "schedules": schedules(data), "short clips": short_clips(data)}
     output.parent.mkdir(exist_ok=True)
     with write_beside(output, overwrite=True) as temporary:
         temporary.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     for name, rows in results["schedules"].items():
         print(f"{name:28}", *(f"{row['at the end']:7.2f} ({row['steps']})" for row in rows.values()))
-    print(results["short clips"])
+    for name, row in results["short clips"].items():
+        print(name, row)
 
 
 if __name__ == "__main__":

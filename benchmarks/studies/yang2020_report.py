@@ -1,6 +1,6 @@
-"""The page docs/reproduction.md from the results: every number between its markers comes from there.
+"""The page docs/reproduction.md and the table of README.md: every number between their markers is from the results.
 
-A block of the page lies between `<!-- name -->` and `<!-- end -->`, with a name of `BLOCKS`.
+A block of a page lies between `<!-- name -->` and `<!-- end -->`, with a name of `BLOCKS`.
 """
 
 from __future__ import annotations
@@ -14,7 +14,8 @@ import numpy as np
 from benchmarks.studies.yang2020_figures import draw
 from motionrecover.io import write_beside
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "reproduction.md"
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = (ROOT / "docs" / "reproduction.md", ROOT / "README.md")
 
 # Yang et al. 2020, in thousandths of the unit: metres in Tables II and V, inches in Table III; 5, 10, 15, 20, 80 %.
 TABLE2 = {
@@ -76,10 +77,11 @@ READINGS = {
 
 
 def write(results: dict) -> None:
-    """Renders the page in place and draws its figures."""
-    with write_beside(PAGE, overwrite=True) as temporary:
-        temporary.write_text(render(results, PAGE.read_text()))
-    draw(results, PAGE.parent / "figures")
+    """Renders the pages in place and draws their figures."""
+    for page in PAGES:
+        with write_beside(page, overwrite=True) as temporary:
+            temporary.write_text(render(results, page.read_text()))
+    draw(results, ROOT / "docs" / "figures")
 
 
 def render(results: dict, page: str) -> str:
@@ -299,6 +301,15 @@ def _made_with(results: dict) -> str:
     return f"Measured with {versions}; seed {results['seed']}."
 
 
+def _readme(results: dict) -> str:
+    rows = results["table2"]["clips"]
+    lines = [[PEERS["nothing"], *_mm(_mean(rows, "nothing"))]]
+    lines += [[f"`{preset}`", *_mm(_mean(rows, preset))] for preset in NAMES]
+    lines += [[PEERS[f"median {n}"], *_mm(_mean(rows, f"median {n}"))] for n in (5, 15)]
+    lines.append([PEERS["oracle spline"], *_mm(_mean(rows, "oracle spline"))])
+    return _table([f"{len(rows)} clips", *_rates(results)], lines)
+
+
 BLOCKS = {
     "table2_05": lambda results: _table2(results, "05"),
     "table2_09": lambda results: _table2(results, "09"),
@@ -310,5 +321,6 @@ BLOCKS = {
     "table3": _table3,
     "table6": _table6,
     "summary": _summary,
+    "readme": _readme,
     "made_with": _made_with,
 }

@@ -2,6 +2,11 @@
 
 import numpy as np
 
+# Below 6 frames a few corrupted ones outvote the rest, and some clips come back worse than they went in:
+# benchmarks/studies/penalties.py.
+LEAST_FRAMES = 6
+"""An estimate from fewer frames is not safe."""
+
 
 def estimate_bone_lengths(lengths: np.ndarray) -> np.ndarray:
     """One length (bone,) from the measured lengths (frame, bone) of each bone, NaN where an end is missing.
