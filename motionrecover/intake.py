@@ -90,8 +90,9 @@ def take_in(
             f"received a clip of {shape[0]} frame{'s' * (shape[0] > 1)}: the model learns from time, "
             f"give at least {min_frames}"
         )
-    seen = np.isfinite(data).all(-1) & _mask(observed, "observed", shape, bool)
-    weights = np.where(seen, _mask(confidence, "confidence", shape, np.float64), 0.0)
+    trust = _mask(confidence, "confidence", shape, np.float64)
+    seen = np.isfinite(data).all(-1) & _mask(observed, "observed", shape, bool) & (trust > 0)
+    weights = np.where(seen, trust, 0.0)
     data = np.where(seen[..., None], data, np.nan)
     if seen.any() and not seen.any(0).all():
         missing = [names[joint] for joint in np.flatnonzero(~seen.any(0))]

@@ -35,7 +35,7 @@ class Recovery:
     """(frame, joint) in [0, 1]: how far each sample was trusted. Confidence times the Huber weight of the distance it
     was moved, 1 up to 1 cm and 1 cm / distance beyond (Huber, "Robust Statistics", 1981, Sec. 7.3); 0 where missing."""
     observed: np.ndarray
-    """(frame, joint): True where the input held a sample."""
+    """(frame, joint): True where the input held a sample with some confidence."""
     bone_lengths: np.ndarray
     """(bone,): the lengths used, given or estimated."""
     skeleton: Skeleton
@@ -86,9 +86,9 @@ def recover(
 
     `D`: (frame, joint, 3), or the motion matrix (3 frames, joints) of Yang et al. 2020, Eq. 1; NumPy or JAX, in
     metres; NaN marks missing samples. `preset`: a name in `presets.PRESETS` or a `Preset`. `observed` (frame, joint):
-    False marks further missing samples. `confidence` (frame, joint) in [0, 1] scales the trust in each sample.
-    `bone_lengths` (bone,) in metres; left out, they are estimated from D, which is safe while less than half of each
-    bone's frames are corrupted. `fps`: frames a second, kept in the answer; the three published models do not
+    False marks further missing samples. `confidence` (frame, joint) in [0, 1] scales the trust in each sample; 0 makes
+    it missing. `bone_lengths` (bone,) in metres; left out, they are estimated from D, which is safe from 6 frames on and
+    while less than half of each bone's frames are corrupted. `fps`: frames a second, kept in the answer; the three published models do not
     depend on it. `max_steps`: in place of the preset's. `dtype`: float32 (the default) or float64. `throw`: raise
     `RecoveryError` when the verdict is that there is no usable answer, instead of returning it with the verdict.
     `verbose`: print the trace.
