@@ -87,11 +87,11 @@ def recover(
     `D`: (frame, joint, 3), or the motion matrix (3 frames, joints) of Yang et al. 2020, Eq. 1; NumPy or JAX, in
     metres; NaN marks missing samples. `preset`: a name in `presets.PRESETS` or a `Preset`. `observed` (frame, joint):
     False marks further missing samples. `confidence` (frame, joint) in [0, 1] scales the trust in each sample; 0 makes
-    it missing. `bone_lengths` (bone,) in metres; left out, they are estimated from D, which is safe from 6 frames on and
-    while less than half of each bone's frames are corrupted. `fps`: frames a second, kept in the answer; the three published models do not
-    depend on it. `max_steps`: in place of the preset's. `dtype`: float32 (the default) or float64. `throw`: raise
-    `RecoveryError` when the verdict is that there is no usable answer, instead of returning it with the verdict.
-    `verbose`: print the trace.
+    it missing. `bone_lengths` (bone,) in metres; left out, they are estimated from D, which is safe from 6 frames on
+    and while less than half of each bone's frames are corrupted. `fps`: frames a second, kept in the answer; the three
+    published models do not depend on it. `max_steps`: in place of the preset's. `dtype`: float32 (the default) or
+    float64. `throw`: raise `RecoveryError` when the verdict is that there is no usable answer, instead of returning it
+    with the verdict. `verbose`: print the trace.
 
     Raises `ValueError`, in one sentence, for input that cannot be used: see `intake.take_in`.
     """
