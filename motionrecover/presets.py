@@ -43,8 +43,8 @@ class Preset:
     reach: float = 0.02
     """Metres. Growth of rho_1 and rho_3 ends at lambda / reach: the residual that one step can still absorb."""
     # The isometry term is not convex: its penalty must exceed the negative curvature gamma |F| of a shortened bone, or
-    # Gauss-Newton steps overshoot for ever; the other two converge fastest below it. The answer does not depend on any
-    # of these settings, only the steps do: benchmarks/studies/penalties.py.
+    # Gauss-Newton steps overshoot for ever; the other two converge fastest below it. Wherever the iteration converges
+    # the answer is the same, other settings only take more steps: benchmarks/studies/penalties.py.
     isometry_penalty_max: float = 10.0
     """Where the growth of rho_2 ends, in 1 / m, or at lambda / reach if that is more."""
     tolerance: float = 1e-3
