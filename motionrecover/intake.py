@@ -97,7 +97,7 @@ def take_in(
     if seen.any() and not seen.any(0).all():
         missing = [names[joint] for joint in np.flatnonzero(~seen.any(0))]
         raise ValueError(
-            f"received {len(missing)} of {len(names)} joints without a single sample ({', '.join(missing)}): "
+            f"received {len(missing)} of {len(names)} joints that are never observed ({', '.join(missing)}): "
             "leave them out with `select`, nothing in the clip says where they were"
         )
     if needs_bones:

@@ -17,7 +17,7 @@ class Preset:
 
     `initialisation="printed"` runs the letter of Algorithm 1 in Yang et al. 2020: A = 0, coordinates as they come,
     rho = 0.5 growing by 1.3 without end. On every CMU clip tried that fails: the penalty outgrows the problem before
-    the split variables agree, and the answer is decimetres off (`docs/reproduction.md`). `initialisation="data"`
+    the split variables agree, and the answer is up to metres off (`docs/reproduction.md`). `initialisation="data"`
     changes three things, none of them in the model: A starts at D; the first penalty is `penalty` / |D|_2 (Lin, Chen
     & Ma, arXiv:1009.5055, Sec. 4.2), so that it follows the scale and length of the clip; and growth ends at `reach`
     and `isometry_penalty_max`, where the iteration can converge and the residuals mean something. It also puts the
@@ -48,7 +48,7 @@ class Preset:
     isometry_penalty_max: float = 10.0
     """Where the growth of rho_2 ends, in 1 / m, or at lambda / reach if that is more."""
     tolerance: float = 1e-3
-    """Both residuals must fall below it. AJE on CMU clips settles to 1 % before."""
+    """Both residuals must fall below it."""
     max_steps: int = 1000
     window: int | None = 100
     """Frames. Longer clips are recovered in overlapping windows of at most so many; None recovers them whole. "It is
