@@ -6,6 +6,7 @@ with its neighbour, and an origin in the middle of the data.
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,6 +16,9 @@ import numpy as np
 from motionrecover.evidence.bone_lengths import LEAST_FRAMES, estimate_bone_lengths
 from motionrecover.skeleton import ZERO_LENGTH, Skeleton, components
 from motionrecover.solver import Problem
+
+LONG_BONE = 2.0
+"""Metres. A body whose bones are longer than this in the median is not measured in metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +117,12 @@ def take_in(
             f"{LEAST_FRAMES}, give bone_lengths=, for example those of the rest pose (--bone-lengths rest)"
         )
     groups, edges, edge_lengths = _merge(skeleton, lengths, zero)
+    if len(edge_lengths) and np.median(edge_lengths) > LONG_BONE:
+        warnings.warn(
+            f"received bones of {np.median(edge_lengths):.3g} m in the median: the presets take positions in metres, "
+            "scale yours if they are in another unit",
+            stacklevel=3,
+        )
     members = [np.flatnonzero(groups == group) for group in range(groups.max() + 1)]
     merged = np.stack([_median(data[:, joints]) for joints in members], 1)
     merged_weights = np.stack([weights[:, joints].max(1) for joints in members], 1)

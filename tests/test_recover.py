@@ -88,13 +88,14 @@ def test_any_turn_where_the_model_has_no_entrywise_norm_of_the_motion():
 
 def test_unit_change_with_rescaled_parameters(plain):
     """In millimetres: gamma in 1 / length^3, penalties in 1 / length, everything else without unit."""
-    changed = settled(
-        HIT * 1000,
-        lengths=LENGTHS * 1000,
-        isometry_weight=100.0 / 1000**3,
-        reach=0.02 * 1000,
-        isometry_penalty_max=10.0 / 1000,
-    )
+    with pytest.warns(UserWarning, match="in metres"):
+        changed = settled(
+            HIT * 1000,
+            lengths=LENGTHS * 1000,
+            isometry_weight=100.0 / 1000**3,
+            reach=0.02 * 1000,
+            isometry_penalty_max=10.0 / 1000,
+        )
     np.testing.assert_allclose(changed.positions / 1000, plain.positions, atol=TOLERANCE["equivariance"])
 
 
