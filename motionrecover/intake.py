@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motionrecover.evidence.bone_lengths import LEAST_FRAMES, estimate_bone_lengths
+from motionrecover.motion import refuse_infinite
 from motionrecover.skeleton import ZERO_LENGTH, Skeleton, components
 from motionrecover.solver import Problem
 
@@ -175,12 +176,7 @@ def _positions(data, skeleton):
         )
     if len(data) == 0:
         raise ValueError("received a clip of 0 frames: recovery needs at least one")
-    if np.isinf(data).any():
-        frame, joint, _ = np.argwhere(np.isinf(data))[0]
-        raise ValueError(
-            f"received an infinite position at frame {frame}, joint {skeleton.names[joint]!r}: "
-            "mark missing samples as NaN"
-        )
+    refuse_infinite(data, skeleton.names)
     return data.astype(np.float64)
 
 

@@ -49,12 +49,7 @@ class Motion:
             )
         if len(positions) == 0:
             raise ValueError("received a clip of 0 frames: a motion needs at least one")
-        if np.isinf(positions).any():
-            frame, joint, _ = np.argwhere(np.isinf(positions))[0]
-            raise ValueError(
-                f"received an infinite position at frame {frame}, joint {self.skeleton.names[joint]!r}: "
-                "mark missing samples as NaN"
-            )
+        refuse_infinite(positions, self.skeleton.names)
         if not (np.isfinite(self.fps) and self.fps > 0):
             raise ValueError(f"received a frame rate of {self.fps}: give frames a second, above 0")
         if self.up not in UP_AXES:
@@ -100,4 +95,13 @@ class Motion:
             observed=self.observed[:, kept],
             confidence=None if self.confidence is None else self.confidence[:, kept],
             history=(*self.history, f"kept {len(kept)} of {len(self.names)} joints"),
+        )
+
+
+def refuse_infinite(positions: np.ndarray, names: Sequence[str]) -> None:
+    """Raise `ValueError` that names the first infinite sample of positions (frame, joint, 3), if there is one."""
+    if np.isinf(positions).any():
+        frame, joint, _ = np.argwhere(np.isinf(positions))[0]
+        raise ValueError(
+            f"received an infinite position at frame {frame}, joint {names[joint]!r}: mark missing samples as NaN"
         )

@@ -42,7 +42,8 @@ VARIANTS = {
     "isometry penalty up to 100": {"isometry_penalty_max": 100.0},
     "printed": {"initialisation": "printed"},
 }
-SHORT = {"clips": ("05_02", "05_10", "09_01", "09_05", "05_15", "09_11"), "frames": (1, 2, 3, 4, 5, 6, 7, 8)}
+SHORT_CLIPS = ("05_02", "05_10", "09_01", "09_05", "05_15", "09_11")
+SHORT_FRAMES = (1, 2, 3, 4, 5, 6, 7, 8)
 SHORT_RATES = (0.05, 0.2, 0.8)
 SHORT_SEEDS = 30
 
@@ -73,10 +74,10 @@ def schedules(data: Path) -> dict:
 def short_clips(data: Path) -> dict:
     """How many corrupted pieces of a few frames came back worse, of how many, and the mean ratio of AJE."""
     preset, table = replace(STR, min_frames=1), {}
-    for frames in SHORT["frames"]:
+    for frames in SHORT_FRAMES:
         for rate in SHORT_RATES:
             ratios: dict[str, list[float]] = {"true lengths": [], "estimated lengths": []}
-            for clip, seed in product(SHORT["clips"], range(SHORT_SEEDS)):
+            for clip, seed in product(SHORT_CLIPS, range(SHORT_SEEDS)):
                 known = cmu25(clip, data)
                 truth = known.positions[40 : 40 + frames]
                 corrupted, hit = corrupt.joints(truth, rate, seed=seed)

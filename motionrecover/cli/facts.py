@@ -12,7 +12,7 @@ from motionrecover.evidence.bone_lengths import estimate_bone_lengths
 from motionrecover.io.border import counted
 from motionrecover.motion import UNITS, Motion
 from motionrecover.recover import Recovery
-from motionrecover.skeleton import ZERO_LENGTH, Skeleton, is_forest
+from motionrecover.skeleton import ZERO_LENGTH, Skeleton
 
 AJE, ABE, DEVIATION = "joint error (AJE)", "bone-length error (ABE)", "bone-length deviation"
 """The last is the mean of |length - one length a bone|: of a rigid body it is 0."""
@@ -48,7 +48,7 @@ def contents(motion: Motion) -> Facts:
         "fps": float(motion.fps),
         "seconds": float(motion.seconds),
         "joints": list(motion.names),
-        "skeleton": "tree" if is_forest(skeleton.edges, len(skeleton.names)) else "graph",
+        "skeleton": "tree" if skeleton.is_forest else "graph",
         "skeleton_parts": len(skeleton.components),
         "bones": len(skeleton.edges),
         "zero_length_bones": [skeleton.bone_names[bone] for bone in np.flatnonzero(lengths < ZERO_LENGTH)],
