@@ -17,6 +17,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from motionrecover.skeleton import Skeleton
+
 Seed = int | np.random.Generator
 Corrupted = tuple[np.ndarray, np.ndarray]
 
@@ -143,6 +145,24 @@ def swap(positions: np.ndarray, pairs: Sequence[tuple[int, int]], frames: int, s
     return corrupted, hit & (_measured(positions) | _measured(corrupted))
 
 
+def swaps(positions: np.ndarray, skeleton: Skeleton, pairs: int, frames: int, seed: Seed = 0) -> Corrupted:
+    """`pairs` random pairs of joints trade places for one run of `frames` frames each, at independent random times.
+
+    The protocol `swapNxL`. A pair is the two joints of a bone, or a left joint and the right one; no joint is in two.
+    Raises `ValueError` where the skeleton has too few such pairs or the clip is too short.
+    """
+    positions, rng = _checked(positions, seed, pairs=pairs, frames=frames)
+    drawn: list[list[int]] = []
+    for pair in rng.permutation(sorted({tuple(sorted(pair)) for pair in (*skeleton.edges, *skeleton.mirror)})).tolist():
+        if len(drawn) < pairs and not {*pair} & {joint for other in drawn for joint in other}:
+            drawn.append(pair)
+    if len(drawn) < pairs:
+        raise ValueError(
+            f"received swaps of {pairs} pairs: {len(drawn)} without a common joint were found, ask for no more"
+        )
+    return swap(positions, [(i, j) for i, j in drawn], frames, rng)
+
+
 def drift(
     positions: np.ndarray, joints: int = 1, amplitude: float = 0.1, period: float = 240.0, seed: Seed = 0
 ) -> Corrupted:
@@ -189,26 +209,31 @@ def kinect(positions: np.ndarray, seed: Seed = 0) -> Corrupted:
 
 
 PROTOCOLS: dict[str, Callable[..., Corrupted]] = {
-    "iid-F": lambda positions, seed, f: joints(positions, f / 100, seed=seed),
-    "entries-F": lambda positions, seed, f: entries(positions, f / 100, seed=seed),
-    "randF": lambda positions, seed, f: missing(positions, f / 100, seed),
-    "gapNxL": lambda positions, seed, n, l: gaps(positions, n, l, seed),
-    "real-gaps": lambda positions, seed: real_gaps(positions, seed=seed),
-    "real-gaps-F": lambda positions, seed, f: real_gaps(positions, f / 100, seed),
-    "mixed": lambda positions, seed: mixed(positions, seed),
-    "kinect": lambda positions, seed: kinect(positions, seed),
+    "iid-F": lambda positions, seed, skeleton, f: joints(positions, f / 100, seed=seed),
+    "entries-F": lambda positions, seed, skeleton, f: entries(positions, f / 100, seed=seed),
+    "randF": lambda positions, seed, skeleton, f: missing(positions, f / 100, seed),
+    "gapNxL": lambda positions, seed, skeleton, n, l: gaps(positions, n, l, seed),
+    "swapNxL": lambda positions, seed, skeleton, n, l: swaps(positions, skeleton, n, l, seed),
+    "real-gaps": lambda positions, seed, skeleton: real_gaps(positions, seed=seed),
+    "real-gaps-F": lambda positions, seed, skeleton, f: real_gaps(positions, f / 100, seed),
+    "mixed": lambda positions, seed, skeleton: mixed(positions, seed),
+    "kinect": lambda positions, seed, skeleton: kinect(positions, seed),
 }
-"""Protocols by form of their name. Capital letters stand for whole numbers: F per cent, N joints, L frames."""
+"""Protocols by form of their name. Capital letters stand for whole numbers: F per cent, N joints or pairs, L frames."""
 
 
-def apply(name: str, positions: np.ndarray, seed: Seed = 0) -> Corrupted:
+def apply(name: str, positions: np.ndarray, seed: Seed = 0, skeleton: Skeleton | None = None) -> Corrupted:
     """Corrupts positions, in metres, by the name of a protocol: `iid-20`, `rand30`, `gap3x60`, `mixed`, `real-gaps`.
 
-    Raises `ValueError` for a name of no form in `PROTOCOLS`.
+    `swap2x30` needs the skeleton. Raises `ValueError` for a name of no form in `PROTOCOLS`.
     """
     for form, protocol in PROTOCOLS.items():
         if match := re.fullmatch(re.sub("[A-Z]", r"(\\d+)", form), name):
-            return protocol(positions, seed, *map(int, match.groups()))
+            if form == "swapNxL" and skeleton is None:
+                raise ValueError(
+                    f"received the protocol {name!r} without a skeleton, which says who may swap: give one"
+                )
+            return protocol(positions, seed, skeleton, *map(int, match.groups()))
     raise ValueError(
         f"received the protocol {name!r}: give one of {', '.join(PROTOCOLS)}, with F per cent, N joints, L frames"
     )
@@ -227,7 +252,7 @@ def _checked(positions: np.ndarray, seed: Seed, **numbers: float) -> tuple[np.nd
             raise ValueError(f"received {name} = {number}: give a finite positive number")
         if name == "fraction" and number > 1:
             raise ValueError(f"received a fraction of {number}: give one from 0 to 1")
-        if name in ("joints", "frames") and (number != int(number) or number < 1):
+        if name in ("joints", "pairs", "frames") and (number != int(number) or number < 1):
             raise ValueError(f"received {name} = {number}: give a whole number from 1 up")
     return positions, np.random.default_rng(seed)
 

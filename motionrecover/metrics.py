@@ -13,6 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from motionrecover.motion import UP_AXES
 from motionrecover.skeleton import Skeleton
 
 Edges = Skeleton | Sequence[tuple[int, int]] | np.ndarray
@@ -75,11 +76,49 @@ def jitter(positions: np.ndarray, fps: float, mask: np.ndarray | None = None) ->
     return _mean(_length(np.diff(positions, 3, axis=0)), _all_of(4, _counted(mask, positions))) * fps**3
 
 
+def foot_slide(positions: np.ndarray, contacts: np.ndarray, feet: Sequence[int], fps: float, up: str = "y") -> float:
+    """Mean horizontal speed of the feet between two frames in contact, in units a second; NaN without a contact.
+
+    Foot skating after Zhang et al., "Mode-adaptive neural networks for quadruped motion control", 2018, with
+    `contacts` (frame, foot) of the joints `feet` in place of their weight for the height over a known floor.
+    """
+    return _mean(*_planted_speeds(positions, contacts, feet, fps, up))
+
+
+def skating_ratio(
+    positions: np.ndarray,
+    contacts: np.ndarray,
+    feet: Sequence[int],
+    fps: float,
+    up: str = "y",
+    limit: float = 0.1,
+) -> float:
+    """Share of the planted steps from frame to frame that are faster than `limit`, units a second; NaN without any.
+
+    Arguments as in `foot_slide`.
+    """
+    speeds, counted = _planted_speeds(positions, contacts, feet, fps, up)
+    return _mean(np.where(np.isnan(speeds), np.nan, speeds > limit), counted)
+
+
 def _positions(positions: np.ndarray) -> np.ndarray:
     positions = np.asarray(positions, float)
     if positions.ndim != 3 or positions.shape[-1] != 3:
         raise ValueError(f"received positions of shape {positions.shape}: give (frame, joint, 3)")
     return positions
+
+
+def _planted_speeds(
+    positions: np.ndarray, contacts: np.ndarray, feet: Sequence[int], fps: float, up: str
+) -> tuple[np.ndarray, np.ndarray]:
+    """Horizontal speeds (frame - 1, foot), and where both frames are in contact."""
+    positions, contacts = _positions(positions), np.asarray(contacts, bool)
+    if contacts.shape != (len(positions), len(feet)):
+        raise ValueError(
+            f"received contacts of shape {contacts.shape}: give (frame, foot) = {(len(positions), len(feet))}"
+        )
+    tracks = np.delete(positions[:, list(feet)], UP_AXES.index(up), axis=-1)
+    return _length(np.diff(tracks, axis=0)) * fps, _all_of(2, contacts)
 
 
 def _paired(recovered: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

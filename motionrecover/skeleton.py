@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -136,6 +137,23 @@ class Skeleton:
         return tuple(parents)
 
     @property
+    def mirror(self) -> tuple[tuple[int, int], ...]:
+        """Pairs (left, right) of joints whose names differ by their side only, in order of the left one.
+
+        A side is `left` anywhere in a name, or an l at either end of a word in it: HandLeft, mixamorig:LeftArm,
+        left_hip, lfemur, LHipJoint, hand.L, Bip01 L Thigh.
+        """
+        index = {name: joint for joint, name in enumerate(self.names)}
+        pairs = []
+        for joint, name in enumerate(self.names):
+            for side in re.finditer(r"left|(?<![a-z])l|l(?![a-z])", name, re.IGNORECASE):
+                right = index.get(name[: side.start()] + _right(side[0]) + name[side.end() :])
+                if right is not None:
+                    pairs.append((joint, right))
+                    break
+        return tuple(pairs)
+
+    @property
     def components(self) -> list[list[int]]:
         """Groups of joints that bones connect, each sorted, in order of their first joint."""
         return components(self.edges, len(self.names))
@@ -198,6 +216,12 @@ def components(edges: Sequence[tuple[int, int]], joints: int) -> list[list[int]]
 def is_forest(edges: Sequence[tuple[int, int]], joints: int) -> bool:
     """Whether the edges close no cycle, so that leaf-to-root elimination applies."""
     return len(edges) == joints - len(components(edges, joints))
+
+
+def _right(side: str) -> str:
+    """`right` for `left`, r for l, in the same case."""
+    right = "right" if len(side) > 1 else "r"
+    return right.upper() if side.isupper() else right.title() if side.istitle() else right
 
 
 def _parse(table: str) -> tuple[list[str], list[int]]:

@@ -1,9 +1,11 @@
 import numpy as np
 import pytest
 
-from motionrecover import corrupt
+from motionrecover import Skeleton, corrupt
 
 CLEAN = np.random.default_rng(99).normal(size=(1200, 20, 3)).cumsum(0) / 100
+
+CHAIN = Skeleton([f"left{k}" for k in range(10)] + [f"right{k}" for k in range(10)], [(k, k + 1) for k in range(19)])
 
 MODELS = {
     "joints": lambda positions, seed: corrupt.joints(positions, 0.2, seed=seed),
@@ -14,6 +16,7 @@ MODELS = {
     "mixed": corrupt.mixed,
     "noise": lambda positions, seed: corrupt.noise(positions, 0.01, seed),
     "swap": lambda positions, seed: corrupt.swap(positions, [(0, 1), (4, 9)], 30, seed),
+    "swaps": lambda positions, seed: corrupt.swaps(positions, CHAIN, 4, 30, seed),
     "drift": lambda positions, seed: corrupt.drift(positions, 2, seed=seed),
     "kinect": corrupt.kinect,
 }
@@ -56,7 +59,7 @@ def test_dtype_is_kept_and_samples_that_were_not_hit_too(name, dtype):
         assert (corrupted[hit] != clean[hit]).any(-1).all()
 
 
-@pytest.mark.parametrize("name", [name for name in MODELS if name != "swap"])
+@pytest.mark.parametrize("name", [name for name in MODELS if name not in ("swap", "swaps")])
 def test_missing_samples_stay_missing_and_are_no_hits(name):
     holed = CLEAN.copy()
     holed[100:300, :5] = np.nan
@@ -176,6 +179,20 @@ def test_swap_moves_gaps():
     assert np.isfinite(corrupted[:, 0]).all()
 
 
+def test_swaps_draw_bones_and_sides_without_common_joints():
+    drawn = set()
+    for seed in range(100):
+        corrupted, hit = corrupt.swaps(CLEAN, CHAIN, 3, 20, seed)
+        joints = np.flatnonzero(hit.any(0))
+        assert len(joints) == 6
+        assert run_lengths(hit).tolist() == [20] * 6
+        for joint in joints:
+            run = hit[:, joint]
+            other = next(k for k in joints if np.array_equal(corrupted[run, joint], CLEAN[run, k]))
+            drawn.add((min(joint, other), max(joint, other)))
+    assert drawn == {*CHAIN.edges, *CHAIN.mirror}
+
+
 @pytest.mark.parametrize("pairs", [[(1, 1)], [(0, 20)], [(-1, 2)], [(0, 1, 2)]])
 def test_swap_refuses_pairs_that_are_none(pairs):
     with pytest.raises(ValueError, match="pairs of different joint indices from 0 to 19"):
@@ -221,10 +238,11 @@ def test_protocols_by_name():
         "gap3x60": corrupt.gaps(CLEAN, 3, 60, 5),
         "real-gaps": corrupt.real_gaps(CLEAN, 0.1, 5),
         "real-gaps-20": corrupt.real_gaps(CLEAN, 0.2, 5),
+        "swap2x30": corrupt.swaps(CLEAN, CHAIN, 2, 30, 5),
         "mixed": corrupt.mixed(CLEAN, 5),
         "kinect": corrupt.kinect(CLEAN, 5),
     }.items():
-        corrupted, hit = corrupt.apply(name, CLEAN, 5)
+        corrupted, hit = corrupt.apply(name, CLEAN, 5, CHAIN)
         np.testing.assert_array_equal(corrupted, expected[0])
         np.testing.assert_array_equal(hit, expected[1])
 
@@ -247,6 +265,9 @@ def test_unknown_protocols_are_refused(name):
         (lambda: corrupt.drift(CLEAN, period=0), "period = 0"),
         (lambda: corrupt.noise(CLEAN[0], 0.1), r"shape \(20, 3\)"),
         (lambda: corrupt.noise(np.zeros((5, 2, 3), int), 0.1), "dtype int64: give floats"),
+        (lambda: corrupt.swaps(CLEAN, CHAIN, 0, 5), "pairs = 0: give a whole number"),
+        (lambda: corrupt.swaps(CLEAN, CHAIN, 11, 5), "swaps of 11 pairs"),
+        (lambda: corrupt.apply("swap2x30", CLEAN), "'swap2x30' without a skeleton"),
         (lambda: corrupt.apply("iid-200", CLEAN), "fraction of 2.0"),
     ],
 )

@@ -117,6 +117,22 @@ def test_float32_is_measured_in_float64():
     assert metrics.aje(truth + np.float32(0.5), truth) == pytest.approx(0.75**0.5, rel=1e-14)
 
 
+def test_foot_slide_is_the_horizontal_speed_of_planted_steps():
+    positions = np.zeros((5, 2, 3))
+    positions[:, 1] = np.array([0.0, 1, 3, 6, 10])[:, None] * (0.03, 7, 0.04)  # steps of 5, 10, 15, 20 cm on the floor
+    contacts = np.array([[False], [True], [True], [True], [False]])
+    assert metrics.foot_slide(positions, contacts, [1], 10) == pytest.approx((1.0 + 1.5) / 2)
+    assert metrics.foot_slide(positions[..., [1, 0, 2]], contacts, [1], 10, up="x") == pytest.approx(1.25)
+    assert metrics.skating_ratio(positions, contacts, [1], 10, limit=1.2) == 0.5
+    assert metrics.foot_slide(positions, contacts, [0], 10) == metrics.skating_ratio(positions, contacts, [0], 10) == 0
+    positions[3] = np.nan
+    for measure in (metrics.foot_slide, metrics.skating_ratio):
+        assert np.isnan(measure(positions, contacts, [1], 10))
+        assert np.isnan(measure(positions, ~contacts, [1], 10))
+    with pytest.raises(ValueError, match="received contacts of shape"):
+        metrics.foot_slide(positions, contacts, [0, 1], 10)
+
+
 def test_misshapen_arguments_are_refused(pair):
     recovered, truth, mask = pair
     with pytest.raises(ValueError, match="same frames and joints"):

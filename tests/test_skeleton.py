@@ -31,6 +31,48 @@ def test_cmu31_is_the_layout_of_the_recordings(shared_data):
         assert Skeleton.from_parents(file["names"], file["parents"]) == Skeleton.standard("cmu31")
 
 
+@pytest.mark.parametrize(
+    ("name", "pairs", "centre"),
+    [
+        ("cmu31", 12, "root lowerback upperback thorax lowerneck upperneck head"),
+        ("cmu25", 9, "root lowerback upperback thorax lowerneck upperneck head"),
+        ("cmu21", 8, "root lowerback upperback thorax upperneck"),
+        ("kinect25", 10, "SpineBase SpineMid Neck Head SpineShoulder"),
+        ("smpl24", 9, "pelvis spine1 spine2 spine3 neck head"),
+    ],
+)
+def test_standards_are_mirrored_but_for_their_middle(name, pairs, centre):
+    skeleton = Skeleton.standard(name)
+    sides = {joint for pair in skeleton.mirror for joint in pair}
+    assert (len(skeleton.mirror), len(sides)) == (pairs, 2 * pairs)
+    assert {skeleton.names[joint] for joint in set(range(len(skeleton.names))) - sides} == set(centre.split())
+    assert all(skeleton.names[left][0] in "lL" or "Left" in skeleton.names[left] for left, _ in skeleton.mirror)
+
+
+@pytest.mark.parametrize(
+    ("left", "right"),
+    [
+        ("lfemur", "rfemur"),
+        ("HandLeft", "HandRight"),
+        ("left_hip", "right_hip"),
+        ("LEFT_HIP", "RIGHT_HIP"),
+        ("mixamorig:LeftArm", "mixamorig:RightArm"),
+        ("LeftFingerBase", "RightFingerBase"),
+        ("LHipJoint", "RHipJoint"),
+        ("LThumb_end", "RThumb_end"),
+        ("LASI", "RASI"),
+        ("hand.L", "hand.R"),
+        ("hand_l", "hand_r"),
+        ("l_hand", "r_hand"),
+        ("Bip01 L Thigh", "Bip01 R Thigh"),
+    ],
+)
+def test_sides_are_read_from_names(left, right):
+    middle = ["lowerback", "Hips", "ball", "skull", "middle"]
+    assert Skeleton([*middle, right, left]).mirror == ((6, 5),)
+    assert Skeleton([*middle, left]).mirror == ()
+
+
 def test_the_three_ways_to_write_a_skeleton(tmp_path):
     by_index = Skeleton("abc", [(0, 1), (1, 2)])
     assert Skeleton("abc", [("a", "b"), ("b", "c")]) == by_index
