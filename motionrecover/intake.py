@@ -72,6 +72,18 @@ def matrix_from(positions: np.ndarray) -> np.ndarray:
     return positions.transpose(0, 2, 1).reshape(-1, positions.shape[1])
 
 
+def check(data: Any, skeleton: Skeleton, observed: Any = None, confidence: Any = None) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (frame, joint, 3) in float64, NaN where missing, and their trust (frame, joint), 0 where missing.
+
+    Raises `ValueError` for misshapen or infinite positions, and masks of another shape or outside [0, 1].
+    """
+    data = _positions(data, skeleton)
+    shape = data.shape[:2]
+    trust = _mask(confidence, "confidence", shape, np.float64)
+    seen = np.isfinite(data).all(-1) & _mask(observed, "observed", shape, bool) & (trust > 0)
+    return np.where(seen[..., None], data, np.nan), np.where(seen, trust, 0.0)
+
+
 def take_in(
     data: Any,
     skeleton: Skeleton,
@@ -80,25 +92,23 @@ def take_in(
     bone_lengths: Any = None,
     needs_bones: bool = True,
     centre: bool = True,
-    fill_reach: float = 10.0,
+    fill_reach: float | None = 10.0,
     min_frames: int = 1,
+    metres: bool = True,
 ) -> Intake:
     """Check the arguments of `recover` and prepare them. Raises `ValueError` for anything that cannot be used.
 
     Missing samples are stood for by straight lines in time. Their trust is 1 / (1 + d / `fill_reach`) at d frames from
-    the nearest sample of the joint.
+    the nearest sample of the joint, and 0 where `fill_reach` is None. `metres`: warn
+    when the bones are too long to be in metres.
     """
-    data = _positions(data, skeleton)
-    shape, names = data.shape[:2], skeleton.names
+    data, weights = check(data, skeleton, observed, confidence)
+    seen, shape, names = weights > 0, data.shape[:2], skeleton.names
     if shape[0] < min_frames:
         raise ValueError(
             f"received a clip of {shape[0]} frame{'s' * (shape[0] > 1)}: the model learns from time, "
             f"give at least {min_frames}"
         )
-    trust = _mask(confidence, "confidence", shape, np.float64)
-    seen = np.isfinite(data).all(-1) & _mask(observed, "observed", shape, bool) & (trust > 0)
-    weights = np.where(seen, trust, 0.0)
-    data = np.where(seen[..., None], data, np.nan)
     if seen.any() and not seen.any(0).all():
         missing = [names[joint] for joint in np.flatnonzero(~seen.any(0))]
         raise ValueError(
@@ -118,7 +128,7 @@ def take_in(
             f"{LEAST_FRAMES}, give bone_lengths=, for example those of the rest pose (--bone-lengths rest)"
         )
     groups, edges, edge_lengths = _merge(skeleton, lengths, zero)
-    if len(edge_lengths) and np.median(edge_lengths) > LONG_BONE:
+    if metres and len(edge_lengths) and np.median(edge_lengths) > LONG_BONE:
         warnings.warn(
             f"received bones of {np.median(edge_lengths):.3g} m in the median: the presets take positions in metres, "
             "scale yours if they are in another unit",
@@ -127,7 +137,7 @@ def take_in(
     members = [np.flatnonzero(groups == group) for group in range(groups.max() + 1)]
     merged = np.stack([_median(data[:, joints]) for joints in members], 1)
     merged_weights = np.stack([weights[:, joints].max(1) for joints in members], 1)
-    if seen.any():
+    if seen.any() and fill_reach is not None:
         away = _frames_away(np.isfinite(merged[..., 0]))
         merged_weights = np.where(away > 0, 1 / (1 + away / fill_reach), merged_weights)
     return Intake(
@@ -141,6 +151,19 @@ def take_in(
         edge_lengths=edge_lengths,
         centre=centre,
     )
+
+
+def checked_lengths(bone_lengths: Any, skeleton: Skeleton) -> np.ndarray:
+    """Given lengths (bone,) in float64. Raises `ValueError` where they do not fit the skeleton or are not positive."""
+    bones, names = len(skeleton.edges), skeleton.bone_names
+    lengths = np.asarray(bone_lengths, np.float64)
+    if lengths.shape != (bones,):
+        raise ValueError(f"received bone_lengths of shape {lengths.shape}: the skeleton has {bones} bones")
+    bad = ~(np.isfinite(lengths) & (lengths > 0)) & ~(_points(skeleton) & (lengths == 0))
+    if bad.any():
+        bone = int(np.argmax(bad))
+        raise ValueError(f"received a length of {lengths[bone]} for bone {names[bone]}: lengths are positive")
+    return lengths
 
 
 def fill(positions: np.ndarray) -> np.ndarray:
@@ -210,26 +233,22 @@ def _connected(skeleton):
 
 def _lengths(bone_lengths, skeleton, data):
     """Lengths (bone,) as given, or estimated; zero-length bones of the rest pose stay zero."""
-    bones, names = len(skeleton.edges), skeleton.bone_names
-    rest = skeleton.rest_lengths
-    point = np.zeros(bones, bool) if rest is None else rest < ZERO_LENGTH
+    bones = len(skeleton.edges)
     if bone_lengths is None:
         if not np.isfinite(data).any():
             return np.ones(bones)  # nothing observed, nothing recovered: the solver's verdict says so
-        lengths = estimate_bone_lengths(skeleton.bone_lengths_of(data))
+        lengths = estimate_bone_lengths(skeleton.bone_lengths_of(data)).length
         # A bone whose ends are never seen together is measured between interpolated ends.
-        lengths = np.where(np.isnan(lengths), estimate_bone_lengths(skeleton.bone_lengths_of(fill(data))), lengths)
-        return np.where(point, 0.0, lengths)
-    lengths = np.asarray(bone_lengths, np.float64)
-    if lengths.shape != (bones,):
-        raise ValueError(f"received bone_lengths of shape {lengths.shape}: the skeleton has {bones} bones")
-    bad = ~(np.isfinite(lengths) & (lengths > 0)) & ~(point & (lengths == 0))
-    if bad.any():
-        bone = int(np.argmax(bad))
-        raise ValueError(
-            f"received a length of {lengths[bone]} for bone {names[bone]}: lengths are positive, in metres"
-        )
-    return lengths
+        filled = estimate_bone_lengths(skeleton.bone_lengths_of(fill(data))).length
+        lengths = np.where(np.isnan(lengths), filled, lengths)
+        return np.where(_points(skeleton), 0.0, lengths)
+    return checked_lengths(bone_lengths, skeleton)
+
+
+def _points(skeleton):
+    """Bones (bone,) of no length in the rest pose."""
+    rest = skeleton.rest_lengths
+    return np.zeros(len(skeleton.edges), bool) if rest is None else rest < ZERO_LENGTH
 
 
 def _merge(skeleton, lengths, zero):

@@ -1,4 +1,4 @@
-"""Presets: the published models as settings of the one solver."""
+"""Presets: `robust`, the default, and the published models as settings of the one ADM solver."""
 
 from __future__ import annotations
 
@@ -99,7 +99,21 @@ class Preset:
         )
 
 
-PRESETS = {
+@dataclass(frozen=True)
+class Robust:
+    """Settings of the robust recovery (`motionrecover.robust`); what a clip needs it finds in the clip."""
+
+    name: str = "robust"
+    max_steps: int = 60
+    """Of the smoother in one window. The first 30 only bring the noise level down."""
+    window: int | None = 400
+    """Frames. Longer clips are recovered in overlapping windows: how joints move together changes with what a person
+    does. None recovers them whole."""
+    overlap: int = 48
+    """Frames that neighbouring windows share; one answer fades into the other over them."""
+
+
+PUBLISHED = {
     preset.name: preset
     for preset in (
         # Wang, Li, Wu, Lai & Yang, "3-D motion recovery via low rank matrix analysis", VCIP 2016.
@@ -112,12 +126,15 @@ PRESETS = {
         Preset("str_yang2020", isometry_weight=100.0, smoothness_weight=0.01),
     )
 }
+"""The published models by name."""
+
+PRESETS: dict[str, Preset | Robust] = {"robust": Robust()} | PUBLISHED
 """The presets by name."""
 
 
-def find(preset: str | Preset) -> Preset:
+def find(preset: str | Preset | Robust) -> Preset | Robust:
     """The preset itself, or the one of that name. Raises `ValueError` for an unknown name."""
-    if isinstance(preset, Preset):
+    if isinstance(preset, Preset | Robust):
         return preset
     if preset not in PRESETS:
         raise ValueError(f"received preset {preset!r}: the presets are {', '.join(PRESETS)}")

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-import time
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from functools import lru_cache
 from typing import Any
 
 import jax
 import numpy as np
 
-from motionrecover import intake, windows
-from motionrecover.presets import Preset, find
+from motionrecover import intake, robust, windows
+from motionrecover.evidence.swaps import Swap, find_swaps, undo
+from motionrecover.presets import Preset, Robust, find
+from motionrecover.programs import bucket, run
+from motionrecover.robust import Change
 from motionrecover.skeleton import Skeleton
-from motionrecover.solver import Result, Trace, solve
+from motionrecover.solver import Result, Solution
 
 TRUST = 0.01
-"""Metres. A sample that was moved farther counts as changed, and less than fully trusted."""
+"""Metres. A published model's sample that was moved farther counts as repaired, and less than fully trusted."""
 
 
 class RecoveryError(RuntimeError):
@@ -28,23 +30,33 @@ class Recovery:
     """Answer of `recover`. Arrays are NumPy, in the units of the input."""
 
     positions: np.ndarray
-    """A as (frame, joint, 3)."""
+    """(frame, joint, 3): the motion; NaN where it stays unknown."""
     outliers: np.ndarray
-    """E (frame, joint, 3): what the model takes for gross error in observed samples; 0 where nothing was observed."""
+    """E (frame, joint, 3): what sets observed samples apart from the motion as gross error; 0 elsewhere."""
     weights: np.ndarray
-    """(frame, joint) in [0, 1]: how far each sample was trusted. Confidence times the Huber weight of the distance it
-    was moved, 1 up to 1 cm and 1 cm / distance beyond (Huber, "Robust Statistics", 1981, Sec. 7.3); 0 where missing."""
+    """(frame, joint) in [0, 1]: how far each sample was trusted; 0 where missing. `robust`: confidence times the
+    probability that the sample is intact. Published models: confidence times the Huber weight of the distance it was
+    moved, 1 up to 1 cm and 1 cm / distance beyond (Huber, "Robust Statistics", 1981, Sec. 7.3)."""
+    changed: np.ndarray
+    """(frame, joint) of `Change`: untouched, denoised, repaired, filled or unknown."""
+    uncertainty: np.ndarray
+    """(frame, joint): root mean square distance to expect between the answer and the truth, infinite where unknown.
+    NaN for the published models, which do not say."""
     observed: np.ndarray
     """(frame, joint): True where the input held a sample with some confidence."""
+    swaps: tuple[Swap, ...]
+    """Runs of swapped joints that were put right before anything else."""
     bone_lengths: np.ndarray
     """(bone,): the lengths used, given or estimated."""
+    bone_intervals: np.ndarray
+    """(bone, 2): where the length is with a probability of 95 %; NaN for the published models."""
     skeleton: Skeleton
     fps: float | None
     result: Result
     """Verdict; `message` is its sentence."""
     steps: int
-    trace: Trace
-    """One row a step, over all windows."""
+    trace: Any
+    """One row a step, over all windows: `solver.Trace` of a published model, `solver.SmootherInfo` of `robust`."""
     seconds: dict[str, float]
     """`compile` and `run`, apart. `compile` is 0 when a program for these shapes was at hand."""
 
@@ -64,7 +76,7 @@ class Recovery:
 
     @property
     def converged(self) -> bool:
-        """Whether both residuals fell below the tolerance."""
+        """Whether the iteration came to its end, not only to its last step."""
         return bool(self.result == Result.converged)
 
 
@@ -72,11 +84,14 @@ def recover(
     D: Any,
     skeleton: Skeleton,
     *,
-    preset: str | Preset = "str_yang2020",
+    preset: str | Preset | Robust = "robust",
     observed: Any = None,
     confidence: Any = None,
     bone_lengths: Any = None,
     fps: float | None = None,
+    max_gap: int | None = None,
+    fill_unseen: bool = False,
+    plant_feet: bool = False,
     max_steps: int | None = None,
     dtype: Any = None,
     throw: bool = True,
@@ -85,13 +100,18 @@ def recover(
     """Recover the motion behind corrupted joint positions.
 
     `D`: (frame, joint, 3), or the motion matrix (3 frames, joints) of Yang et al. 2020, Eq. 1; NumPy or JAX, in
-    metres; NaN marks missing samples. `preset`: a name in `presets.PRESETS` or a `Preset`. `observed` (frame, joint):
-    False marks further missing samples. `confidence` (frame, joint) in [0, 1] scales the trust in each sample; 0 makes
-    it missing. `bone_lengths` (bone,) in metres; left out, they are estimated from D, which is safe from 6 frames on
-    and while less than half of each bone's frames are corrupted. `fps`: frames a second, kept in the answer; the three
-    published models do not depend on it. `max_steps`: in place of the preset's. `dtype`: float32 (the default) or
-    float64. `throw`: raise `RecoveryError` when the verdict is that there is no usable answer, instead of returning it
-    with the verdict. `verbose`: print the trace.
+    metres (any unit for `robust`); NaN marks missing samples. `preset`: a name in `presets.PRESETS`, a `Robust` or a
+    `Preset`. `observed` (frame, joint): False marks further missing samples. `confidence` (frame, joint) in [0, 1]
+    scales the trust in each sample; 0 makes it missing. `bone_lengths` (bone,) in the unit of D; left out, they are
+    estimated from D. `fps`: frames a second, kept in the answer; no preset depends on it. `max_steps`: in place of the
+    preset's. `dtype` of the answer: float32 (the default) or float64; the published models also compute in it,
+    `robust` always in float64. `throw`: raise `RecoveryError` when the verdict is that there is no usable answer,
+    instead of returning it with the verdict. `verbose`: print the trace.
+
+    Of `robust` only: `max_gap`: gaps of more frames than this stay NaN; left out, a gap is filled however long, and
+    `uncertainty` says how far to trust it. `fill_unseen`: joints that no frame shows are placed by their bones instead
+    of staying NaN. `plant_feet`: feet stay in place while they stand on the ground (y up, `fps` needed): it takes foot
+    slide away, and moves feet by some millimetres.
 
     Raises `ValueError`, in one sentence, for input that cannot be used: see `intake.take_in`.
     """
@@ -101,9 +121,114 @@ def recover(
         raise ValueError(f"received dtype {dtype}: give float32 or float64")
     if fps is not None and not (np.isfinite(fps) and fps > 0):
         raise ValueError(f"received a frame rate of {fps}: give frames a second, above 0")
+    if max_gap is not None and max_gap < 0:
+        raise ValueError(f"received max_gap {max_gap}: give a number of frames from 0 up")
     steps = preset.max_steps if max_steps is None else max_steps
     if steps < 1:
         raise ValueError(f"received max_steps {max_steps}: give at least 1")
+    arguments = D, skeleton, observed, confidence, bone_lengths
+    if isinstance(preset, Robust):
+        if plant_feet and fps is None:
+            raise ValueError("received plant_feet without fps: contacts are found by speed, give frames a second")
+        recovery = _robust(*arguments, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet)
+    elif max_gap is not None or fill_unseen or plant_feet:
+        raise ValueError(f"received max_gap, fill_unseen or plant_feet for {preset.name}: they are options of robust")
+    else:
+        recovery = _published(*arguments, preset, steps, dtype, fps)
+    if throw and _useless(recovery.result):
+        raise RecoveryError(recovery.message)
+    if verbose:
+        _print_trace(recovery)
+    return recovery
+
+
+def _robust(
+    D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet
+):
+    """The answer of `robust`: see `motionrecover.robust`."""
+    raw, trust = intake.check(D, skeleton, observed, confidence)
+    if bone_lengths is not None:
+        bone_lengths = intake.checked_lengths(bone_lengths, skeleton)
+    swaps = find_swaps(raw, skeleton, bone_lengths)
+    data, weights = undo(raw, swaps), undo(trust, swaps)
+    seen = np.array([weights[:, joint].any() for joint in range(len(skeleton.names))])
+    if not seen.any():
+        seen[:] = True  # nothing is observed: the solver's verdict says so
+    kept = np.flatnonzero(seen)
+    whole = [bone for bone, edge in enumerate(skeleton.edges) if seen[list(edge)].all()]
+    body = Skeleton(
+        [skeleton.names[j] for j in kept],
+        [np.searchsorted(kept, skeleton.edges[bone]).tolist() for bone in whole],
+        None if skeleton.rest_offsets is None else np.asarray(skeleton.rest_offsets)[kept],
+    )
+    given = None if bone_lengths is None else bone_lengths[whole]
+    clip = intake.take_in(
+        data[:, kept],
+        body,
+        confidence=weights[:, kept],
+        bone_lengths=given,
+        needs_bones=False,
+        fill_reach=None,
+        metres=False,
+    )
+    seconds = {"compile": 0.0, "run": 0.0}
+    restored = robust.restore(clip, preset, bone_lengths is not None, steps, seconds)
+    verdict = robust.verdict(restored)
+
+    positions, variance, intact = (
+        np.full((len(data), len(skeleton.names), *part.shape[2:]), empty)
+        for part, empty in ((restored.positions, np.nan), (restored.variance, np.inf), (restored.intact, 0.0))
+    )
+    positions[:, kept] = restored.positions[:, clip.groups]
+    variance[:, kept] = restored.variance[:, clip.groups]
+    intact[:, kept] = restored.intact[:, clip.groups]
+    there = weights > 0
+    trusted = there & (intact > robust.INTACT)
+    if restored.exact:
+        positions = np.where(trusted[..., None], data, positions)
+    lengths, intervals = np.full(len(skeleton.edges), np.nan), np.full((len(skeleton.edges), 2), np.nan)
+    found = dict(zip(clip.edges, zip(restored.bones.length, restored.bones.interval, strict=True), strict=True))
+    for bone, edge in zip(whole, body.edges, strict=True):
+        pair = tuple(sorted(clip.groups[list(edge)].tolist()))
+        lengths[bone], intervals[bone] = found.get(pair, (0.0, (0.0, 0.0)))
+    if bone_lengths is not None:
+        lengths = bone_lengths.copy()
+    if fill_unseen:
+        rest = skeleton.rest_lengths
+        known = np.where(np.isfinite(lengths) | (rest is None), lengths, rest)
+        positions = robust.fill_unseen(positions, skeleton.edges, known)
+    if plant_feet:
+        positions = robust.plant_feet(positions, skeleton, lengths, fps)
+    if max_gap is not None:
+        positions = np.where((robust.in_runs(~trusted, max_gap + 1) & ~there)[..., None], np.nan, positions)
+    unknown = np.isnan(positions[..., 0])
+    if unknown[:, seen].any() and bool(verdict == Result.converged):
+        verdict = Result.partly_unknown
+    moved_back = np.any(np.nan_to_num(raw) != np.nan_to_num(data), -1)
+    changed = np.where(there, Change.UNTOUCHED if restored.exact else Change.DENOISED, Change.FILLED)
+    changed = np.where(there & (~trusted | moved_back), Change.REPAIRED, changed)
+    changed = np.where(unknown, Change.UNKNOWN, changed)
+    return Recovery(
+        positions=positions.astype(dtype),
+        outliers=np.where((there & ~trusted & ~unknown)[..., None], np.nan_to_num(data - positions), 0).astype(dtype),
+        weights=weights * intact,
+        changed=changed.astype(np.uint8),
+        uncertainty=np.where(unknown, np.inf, np.sqrt(3 * variance)),
+        observed=there,
+        swaps=tuple(swaps),
+        bone_lengths=lengths,
+        bone_intervals=intervals,
+        skeleton=skeleton,
+        fps=fps,
+        result=verdict,
+        steps=max(int(solution.steps) for solution in restored.solutions),
+        trace=_merge(restored.solutions),
+        seconds=seconds,
+    )
+
+
+def _published(D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps):
+    """The answer of a published model: windows, solved one by one and faded into each other."""
     printed = preset.initialisation == "printed"
     clip = intake.take_in(
         D,
@@ -121,14 +246,15 @@ def recover(
     spans = windows.split(frames, window, min(preset.overlap, window - 1))
     stored = bucket(min(frames, window))
     positions, outliers, solutions, seconds = [], [], [], {"compile": 0.0, "run": 0.0}
-    for span in spans:
-        solution, origin = _run(clip, span, stored, preset, dtype, steps, seconds)
-        if throw and _useless(solution.result):
-            raise RecoveryError(Result[solution.result])
-        size = span.stop - span.start
-        positions.append(clip.restore(solution.positions, size) + origin.astype(dtype))
-        outliers.append(clip.restore(solution.outliers, size))
-        solutions.append(solution)
+    # float64 is allowed for float32 data too: see `prox.singular_value_threshold`.
+    with jax.enable_x64(True):
+        for span in spans:
+            problem, origin = clip.problem(span, stored, dtype)
+            solution = run(preset.solver(problem), problem, steps, seconds)
+            size = span.stop - span.start
+            positions.append(clip.restore(solution.positions, size) + origin.astype(dtype))
+            outliers.append(clip.restore(solution.outliers, size))
+            solutions.append(solution)
     worst = max(solutions, key=lambda solution: (_useless(solution.result), not _converged(solution.result)))
     answer = windows.blend(positions, spans)
     if _useless(worst.result):
@@ -137,55 +263,24 @@ def recover(
     # A joint merged with others has the group's E, plus what sets its own samples apart from the group's.
     apart = clip.data - clip.merged[:, clip.groups]
     moved = np.linalg.norm(np.nan_to_num(clip.data) - answer, axis=-1)
-    recovery = Recovery(
+    changed = np.where(seen, np.where(moved > TRUST, Change.REPAIRED, Change.DENOISED), Change.FILLED)
+    return Recovery(
         positions=answer,
         outliers=np.where(seen[..., None], windows.blend(outliers, spans) + apart, 0).astype(dtype),
         weights=np.where(seen, clip.weights * TRUST / np.maximum(moved, TRUST), 0),
+        changed=np.where(np.isnan(answer[..., 0]), Change.UNKNOWN, changed).astype(np.uint8),
+        uncertainty=np.full(seen.shape, np.nan),
         observed=seen,
+        swaps=(),
         bone_lengths=clip.bone_lengths,
+        bone_intervals=np.full((len(clip.bone_lengths), 2), np.nan),
         skeleton=skeleton,
         fps=fps,
         result=worst.result,
         steps=max(int(solution.steps) for solution in solutions),
-        trace=_merge([jax.tree.map(np.asarray, solution.trace) for solution in solutions]),
+        trace=_merge(solutions),
         seconds=seconds,
     )
-    if verbose:
-        _print_trace(recovery)
-    return recovery
-
-
-def bucket(frames: int) -> int:
-    """Stored length for a clip: `frames` rounded up to one of eight sizes an octave (at most 1/8 more, from 8 on).
-
-    Clips of one bucket share a compiled program. Padding does not change an answer: see `solver.Problem`.
-    """
-    step = max(1, 1 << max(0, (frames - 1).bit_length() - 4))
-    return max(8, -(-frames // step) * step)
-
-
-def _run(clip, span, stored, preset, dtype, max_steps, seconds):
-    """The solution of one window and the origin of its coordinates; the time it took is added to `seconds`."""
-    # float64 is allowed for float32 data too: see `prox.singular_value_threshold`.
-    with jax.enable_x64(True):
-        problem, origin = clip.problem(span, stored, dtype)
-        arguments = (preset.solver(problem), problem)
-        leaves, structure = jax.tree.flatten(arguments)
-        misses, start = _compile.cache_info().misses, time.perf_counter()
-        program = _compile(structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves), max_steps)
-        compiled = time.perf_counter()
-        solution = jax.block_until_ready(program(*arguments))
-        seconds["run"] += time.perf_counter() - compiled
-        if _compile.cache_info().misses > misses:
-            seconds["compile"] += compiled - start
-    return solution, origin
-
-
-@lru_cache(maxsize=256)
-def _compile(structure, shapes, max_steps):
-    """The solver's program for arguments of this structure and these shapes."""
-    arguments = jax.tree.unflatten(structure, [jax.ShapeDtypeStruct(*shape) for shape in shapes])
-    return jax.jit(lambda solver, problem: solve(solver, problem, max_steps)).lower(*arguments).compile()
 
 
 def _converged(result):
@@ -196,12 +291,13 @@ def _useless(result):
     return bool((result == Result.nothing_observed) | (result == Result.non_finite))
 
 
-def _merge(traces):
+def _merge(solutions: Sequence[Solution]) -> Any:
     """One trace from those of the windows: objective parts add up, of the rest the largest counts.
 
     A window that ended before the others stays at its last row.
     """
-    steps = [np.isfinite(trace.penalty).sum() for trace in traces]
+    traces = [jax.tree.map(np.asarray, solution.trace) for solution in solutions]
+    steps = [int(solution.steps) for solution in solutions]
     last = max(steps)
 
     def column(name):
@@ -210,17 +306,14 @@ def _merge(traces):
             values[count:last] = values[count - 1] if count else np.nan
         return columns.sum(0) if name in ("nuclear", "outlier", "isometry", "smoothness") else columns.max(0)
 
-    return Trace(**{field.name: column(field.name) for field in fields(Trace)})
+    return type(traces[0])(**{field.name: column(field.name) for field in fields(traces[0])})
 
 
 def _print_trace(recovery):
     """The trace at 1, 2, 5, 10, 20, 50, ... steps, the last one, and the verdict."""
-    print(f"{'step':>5} {'objective':>11} {'primal':>9} {'dual':>9} {'rank':>4} {'penalty':>8}")
-    trace, last = recovery.trace, recovery.steps
+    names = recovery.trace.shown
+    print(f"{'step':>5} " + " ".join(f"{name.replace('_', ' '):>15}" for name in names))
+    last = recovery.steps
     for step in sorted({k * 10**p for k in (1, 2, 5) for p in range(6) if k * 10**p <= last} | {last} - {0}):
-        row = step - 1
-        print(
-            f"{step:5d} {trace.objective[row]:11.5g} {trace.primal_residual[row]:9.2e} {trace.dual_residual[row]:9.2e} "
-            f"{trace.rank[row]:4.0f} {trace.penalty[row]:8.3g}"
-        )
+        print(f"{step:5d} " + " ".join(f"{getattr(recovery.trace, name)[step - 1]:15.5g}" for name in names))
     print(recovery.message)

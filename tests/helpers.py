@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motionrecover import Skeleton
-from motionrecover.recover import bucket
+from motionrecover.programs import bucket
 from motionrecover.solver import Problem
 
 TOLERANCE = {
@@ -21,6 +21,7 @@ TOLERANCE = {
     "planted": 1e-5,  # low rank + sparse truth, relative
     "residual": 1e-5,  # both residuals with constant penalties, float64
     "equivariance": 1e-6,  # metres, float64, between runs that differ by a symmetry of the model
+    "posterior": 1e-8,  # recursive smoothing against solving for all frames at once
     "float32": 2e-4,  # metres, float32 against float64 after the same number of steps
     "reference": 1e-7,  # metres, against the NumPy/SciPy reference after the same number of steps, float64
 }

@@ -5,6 +5,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -86,9 +87,9 @@ def test_recover_from_csv_to_npz(folder, run):
     before, after = load("corrupted.csv"), load("out.npz")
     assert after.observed.all()
     assert (after.names, after.fps, len(after)) == (before.names, before.fps, len(before))
-    assert any(line.startswith("recovered with str_yang2020") for line in after.history)
+    assert any(line.startswith("recovered with robust") for line in after.history)
     aje = [metrics.aje(clip.positions, TRUTH.positions, before.observed) for clip in (before, after)]
-    assert aje[1] < 0.6 * aje[0]
+    assert aje[1] < 0.1 * aje[0]
 
 
 def test_recover_prints_one_json_object_with_the_same_numbers(folder, run):
@@ -96,14 +97,15 @@ def test_recover_prints_one_json_object_with_the_same_numbers(folder, run):
     code, out, err = run(*arguments)
     facts = json.loads(out)
     assert code == 0
-    assert "objective" in err
+    assert "outlier share" in err
     assert facts["converged"] is True
-    assert facts["missing_filled"] == 4
+    assert facts["samples"]["filled"] == 4
     after = load("out.csv")
     assert facts["aje_mm"]["after"] == pytest.approx(1000 * metrics.aje(after.positions, TRUTH.positions), rel=1e-6)
     assert facts["abe_mm"]["after"] < facts["abe_mm"]["before"]
     assert facts["bone_length_deviation_mm"]["after"] < 0.1 * facts["bone_length_deviation_mm"]["before"]
-    assert 0.15 < facts["changed_share"] < 1
+    assert 0.15 < facts["samples"]["repaired"] / facts["frames"] / facts["joints"] < 0.25
+    assert facts["swaps"] == facts["never_seen"] == facts["partly_unknown"] == []
 
 
 def test_recover_quietly_with_the_lengths_of_the_rest_pose(folder, run):
@@ -203,13 +205,26 @@ def test_ctrl_c_does_not_wait_for_the_solver(folder):
 def test_bad_files_are_refused_in_one_line(folder, refuses, name, content, words):
     if content is not None:
         Path(name).write_bytes(content if isinstance(content, bytes) else content.encode())
-    refuses("recover", name, "-o", "out.npz", words=words)
+    refuses("recover", name, "-o", "out.npz", "--preset", "str_yang2020", words=words)
+
+
+def test_recover_says_what_it_leaves_open(folder, run):
+    clip = load("truth.npz")
+    positions = clip.positions.copy()
+    positions[:, 3] = np.nan
+    positions[5:12, 6] = np.nan
+    save(replace(clip, positions=positions, observed=None), "holes.npz")
+    code, out, _ = run("recover", "holes.npz", "-o", "out.npz", "--max-gap", "5")
+    assert code == 0
+    assert f"never seen: {clip.names[3]}" in out
+    assert f"also in the answer: {clip.names[3]}, {clip.names[6]}" in out
+    assert np.isnan(load("out.npz").positions[:, 3]).all()
 
 
 def test_a_skeleton_in_two_parts_is_refused(folder, refuses):
     skeleton = Skeleton(["a", "b", "c", "d"], [("a", "b"), ("c", "d")])
     save(Motion(np.random.default_rng(0).normal(size=(5, 4, 3)), skeleton, 30), "parts.npz")
-    refuses("recover", "parts.npz", "-o", "out.npz", words=["2 parts", "'c'"])
+    refuses("recover", "parts.npz", "-o", "out.npz", "--preset", "str_yang2020", words=["2 parts", "'c'"])
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The front door: what it accepts, what it refuses in one sentence, and the symmetries of its answers."""
 
 from dataclasses import replace
+from functools import partial
 
 import jax.numpy as jnp
 import numpy as np
@@ -10,6 +11,7 @@ from helpers import GRAPHS, SKELETONS, TOLERANCE, clip, hit, lengths_of
 from motionrecover import PRESETS, Recovery, RecoveryError, Skeleton, metrics, recover, synthesize
 from motionrecover.intake import fill, matrix_from, positions_from
 
+published = partial(recover, preset="str_yang2020")
 SKELETON = SKELETONS["cmu25"]
 FRAMES = 64
 TRUTH = clip(SKELETON, FRAMES)
@@ -52,7 +54,7 @@ def test_recovers_a_corrupted_clip(preset, left):
 
 def test_every_form_of_the_data_gives_the_same_answer():
     forms = [HIT, matrix_from(HIT), jnp.asarray(HIT), HIT.tolist()]
-    answers = [recover(form, SKELETON, bone_lengths=LENGTHS).positions for form in forms]
+    answers = [published(form, SKELETON, bone_lengths=LENGTHS).positions for form in forms]
     for answer in answers[1:]:
         np.testing.assert_array_equal(answer, answers[0])
 
@@ -108,7 +110,7 @@ def test_joint_relabelling(plain):
 
 
 def test_bone_lengths_are_estimated_under_corruption():
-    found = recover(HIT, SKELETON)
+    found = published(HIT, SKELETON)
     np.testing.assert_allclose(found.bone_lengths, LENGTHS, rtol=1e-6)
 
 
@@ -117,7 +119,7 @@ def test_missing_samples_are_filled_and_named():
     data[10, 3] = np.nan
     observed = np.ones((FRAMES, 25), bool)
     observed[30:33, 12] = False
-    found = recover(data, SKELETON, observed=observed, bone_lengths=LENGTHS)
+    found = published(data, SKELETON, observed=observed, bone_lengths=LENGTHS)
     expected = observed.copy()
     expected[10, 3] = False
     np.testing.assert_array_equal(found.observed, expected)
@@ -134,7 +136,7 @@ def test_missing_samples_never_drift_to_the_origin():
     scattered = np.where(np.random.default_rng(0).random((FRAMES, 25, 1)) < 0.3, np.nan, TRUTH)
     for data in (empty, scattered):
         missing = np.isnan(data[..., 0])
-        found = recover(data, SKELETON, bone_lengths=LENGTHS).positions
+        found = published(data, SKELETON, bone_lengths=LENGTHS).positions
         line, error = (np.linalg.norm(x - TRUTH, axis=-1)[missing].mean() for x in (fill(data), found))
         assert error < 1.1 * line + 2e-3
 
@@ -146,7 +148,7 @@ def test_confidence_scales_trust():
     confidence = np.ones((FRAMES, 25))
     confidence[thrown] = 0.0
     error = [
-        np.linalg.norm(recover(data, SKELETON, bone_lengths=LENGTHS, confidence=c).positions[thrown] - TRUTH[thrown])
+        np.linalg.norm(published(data, SKELETON, bone_lengths=LENGTHS, confidence=c).positions[thrown] - TRUTH[thrown])
         for c in (None, confidence)
     ]
     assert error[1] < error[0]
@@ -158,7 +160,7 @@ def test_zero_length_bones_are_merged_and_restored():
     skeleton = Skeleton(names, [*SKELETON.edges, (4, 25)])
     doubled = np.concatenate([TRUTH, TRUTH[:, 4:5]], 1)
     data = hit(doubled, 0.05)
-    found = recover(data, skeleton)
+    found = published(data, skeleton)
     assert found.bone_lengths[-1] == 0
     np.testing.assert_array_equal(found.positions[:, 25], found.positions[:, 4])
     assert metrics.aje(found.positions, doubled) < 0.25 * metrics.aje(data, doubled)
@@ -170,25 +172,25 @@ def test_general_graphs(name):
     skeleton = GRAPHS[name]
     truth = clip(skeleton, 40)
     data = hit(truth, 0.05)
-    found = recover(data, skeleton, bone_lengths=lengths_of(skeleton, truth))
+    found = published(data, skeleton, bone_lengths=lengths_of(skeleton, truth))
     assert metrics.aje(found.positions, truth) < metrics.aje(data, truth)
     assert np.nanmax(found.trace.inner_steps) > 0
 
 
 def test_clean_synthetic_motion_keeps_its_shape():
     motion = synthesize(seconds=1.0)
-    found = recover(motion.positions, motion.skeleton)
+    found = published(motion.positions, motion.skeleton)
     assert metrics.aje(found.positions, motion.positions) < 2e-3
 
 
 def test_a_still_body_stays_still():
     still = np.repeat(TRUTH[:1], 16, 0)
-    np.testing.assert_allclose(recover(still, SKELETON).positions, still, atol=2e-3)
+    np.testing.assert_allclose(published(still, SKELETON).positions, still, atol=2e-3)
 
 
 def test_float64_and_seconds():
-    first = recover(HIT, SKELETON, dtype=np.float64, max_steps=7)
-    again = recover(HIT, SKELETON, dtype=np.float64, max_steps=7)
+    first = published(HIT, SKELETON, dtype=np.float64, max_steps=7)
+    again = published(HIT, SKELETON, dtype=np.float64, max_steps=7)
     assert again.positions.dtype == np.float64
     assert first.seconds["compile"] > 0 == again.seconds["compile"]
     assert first.steps == 7
@@ -196,7 +198,7 @@ def test_float64_and_seconds():
 
 
 def test_verbose_prints_the_trace(capsys):
-    recover(HIT, SKELETON, max_steps=7, dtype=np.float64, verbose=True)
+    published(HIT, SKELETON, max_steps=7, dtype=np.float64, verbose=True)
     printed = capsys.readouterr().out
     assert "primal" in printed
     assert "7" in printed
@@ -206,8 +208,8 @@ def test_nothing_observed_is_a_verdict():
     nothing = np.full((16, 25, 3), np.nan)
     for lengths in (LENGTHS, None):
         with pytest.raises(RecoveryError, match="No sample is observed"):
-            recover(nothing, SKELETON, bone_lengths=lengths)
-    found = recover(nothing, SKELETON, bone_lengths=LENGTHS, throw=False)
+            published(nothing, SKELETON, bone_lengths=lengths)
+    found = published(nothing, SKELETON, bone_lengths=LENGTHS, throw=False)
     assert np.isnan(found.positions).all()
     assert "No sample is observed" in found.message
 
@@ -256,5 +258,5 @@ BAD = {
 @pytest.mark.parametrize("case", BAD)
 def test_bad_input_is_refused_in_one_sentence(case, refused):
     data, arguments, words = BAD[case]
-    arguments = {"skeleton": SKELETON, **arguments}
+    arguments = {"skeleton": SKELETON, "preset": "str_yang2020", **arguments}
     refused(lambda: recover(data, **arguments), words, error=ValueError)

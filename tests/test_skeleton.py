@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from motionrecover import Motion, Skeleton
-from motionrecover.evidence.bone_lengths import estimate_bone_lengths
 from motionrecover.skeleton import STANDARDS
 
 
@@ -152,17 +151,3 @@ def test_motion_completes_itself():
 def test_what_is_no_motion(changes, words, refused):
     arguments = {"positions": np.ones((4, 2, 3)), "skeleton": CHAIN, "fps": 30, **changes}
     refused(lambda: Motion(**arguments), words, error=ValueError)
-
-
-@pytest.mark.parametrize("corrupted", [0.0, 0.2, 0.45])
-def test_bone_lengths_survive_what_is_less_than_half(corrupted):
-    rng = np.random.default_rng(0)
-    lengths = np.full((200, 3), [0.1, 0.3, 0.5]) + rng.normal(scale=1e-3, size=(200, 3))
-    thrown = rng.random((200, 3)) < corrupted
-    lengths = np.where(thrown, lengths + rng.uniform(0, 0.3, (200, 3)), lengths)
-    lengths[rng.random((200, 3)) < 0.1] = np.nan
-    np.testing.assert_allclose(estimate_bone_lengths(lengths), [0.1, 0.3, 0.5], atol=2e-3)
-
-
-def test_a_bone_without_a_frame_has_no_length():
-    assert np.isnan(estimate_bone_lengths(np.full((3, 1), np.nan))).all()

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from benchmarks.reference import algorithm1
 from motionrecover.intake import matrix_from, positions_from
-from motionrecover.presets import PRESETS
-from motionrecover.recover import bucket
+from motionrecover.presets import PUBLISHED
+from motionrecover.programs import bucket
 from motionrecover.solver import Result, Solver, solve
 from motionrecover.wavelets import wavedec
 
@@ -44,14 +44,14 @@ def catalogue_problem(name, frames, fraction, seed, **changes):
     return problem_of(SKELETONS[name], hit(truth, fraction, seed), lengths_of(SKELETONS[name], truth), **changes)
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", PUBLISHED)
 @pytest.mark.parametrize("name", ["chain", "star", "cmu25", "braced"])
 @settings(max_examples=8)
 @given(frames=st.integers(3, STORED), fraction=st.sampled_from([0.0, 0.05, 0.2, 0.8]), seed=st.integers(0, 999))
 def test_constant_penalties_converge(name, preset, frames, fraction, seed):
     """Both residuals fall under the tolerance, from any clip, and stay finite on the way."""
     problem = catalogue_problem(name, frames, fraction, seed, stored=STORED)
-    solver = with_tolerance(constant_penalties(PRESETS[preset].solver(problem)), TOLERANCE["residual"])
+    solver = with_tolerance(constant_penalties(PUBLISHED[preset].solver(problem)), TOLERANCE["residual"])
     solution = run(solver, problem, 20000)
     assert Result[solution.result] == Result[Result.converged]
     last = int(solution.steps) - 1
@@ -64,7 +64,7 @@ def test_convex_case_reaches_the_objective_of_an_interior_point_solver(preset):
     """Without the isometry term: minimise |A|_* + lambda |D - A|_1 + mu |W A|_1, here by Clarabel on the same data."""
     frames = 8
     problem = catalogue_problem("chain", frames, 0.2, 1, stored=frames)
-    name = PRESETS.get(preset) or replace(PRESETS["str_yang2020"], isometry_weight=None, wavelet="db2")
+    name = PUBLISHED.get(preset) or replace(PUBLISHED["str_yang2020"], isometry_weight=None, wavelet="db2")
     solver = with_tolerance(name.solver(problem), 1e-8)
     solution = run(solver, problem, 20000)
 
@@ -95,7 +95,7 @@ def test_planted_low_rank_and_sparse_truth_is_found():
     skeleton = SKELETONS["chain"]
     problem = problem_of(skeleton, truth, np.ones(4), stored=frames)
     problem = eqx.tree_at(lambda p: p.positions, problem, jnp.asarray((truth + sparse).transpose(2, 1, 0)))
-    solver = replace(PRESETS["lowrank_wang2016"], outlier_weight=1 / np.sqrt(3), reach=1.0).solver(problem)
+    solver = replace(PUBLISHED["lowrank_wang2016"], outlier_weight=1 / np.sqrt(3), reach=1.0).solver(problem)
     solution = run(with_tolerance(solver, 1e-8), problem, 5000)
     assert solution.result == Result.converged
     error = np.linalg.norm(answer(solution, problem) - truth) / np.linalg.norm(truth)
@@ -107,7 +107,7 @@ def test_planted_low_rank_and_sparse_truth_is_found():
 def test_equals_the_plain_reference_step_by_step(initialisation):
     frames, steps = 80, 12  # the shortest length at which PyWavelets does not warn of boundary effects
     problem = catalogue_problem("cmu25", frames, 0.2, 0, stored=frames)
-    preset = replace(PRESETS["str_yang2020"], initialisation=initialisation, tolerance=0.0)
+    preset = replace(PUBLISHED["str_yang2020"], initialisation=initialisation, tolerance=0.0)
     solver = preset.solver(problem)
     solution = run(solver, problem, steps)
     d = matrix_from(np.asarray(problem.positions).transpose(2, 1, 0))
@@ -134,7 +134,7 @@ def test_equals_the_plain_reference_step_by_step(initialisation):
 def test_float32_follows_float64():
     exact = catalogue_problem("cmu25", STORED, 0.1, 0, stored=STORED)
     single = catalogue_problem("cmu25", STORED, 0.1, 0, stored=STORED, dtype=np.float32)
-    preset = replace(PRESETS["str_yang2020"], tolerance=0.0)
+    preset = replace(PUBLISHED["str_yang2020"], tolerance=0.0)
     answers = [answer(run(preset.solver(p), p, 400), p) for p in (exact, single)]
     assert answers[1].dtype == np.float32
     np.testing.assert_allclose(answers[1], answers[0], atol=TOLERANCE["float32"])
@@ -144,7 +144,7 @@ def test_float32_follows_float64():
 def test_padding_leaves_the_answer_alone(stored):
     exact = catalogue_problem("cmu25", 21, 0.1, 0, stored=21)
     padded = catalogue_problem("cmu25", 21, 0.1, 0, stored=stored)
-    preset = PRESETS["str_yang2020"]
+    preset = PUBLISHED["str_yang2020"]
     a, b = (run(preset.solver(p), p, 400) for p in (exact, padded))
     np.testing.assert_allclose(answer(b, padded), answer(a, exact), atol=TOLERANCE["equivariance"])
     assert (np.asarray(b.positions)[..., 21:] == 0).all()
@@ -158,7 +158,7 @@ def stack(trees):
 
 def test_vmap_equals_one_at_a_time_and_a_bad_clip_spoils_only_itself():
     problems = [catalogue_problem("cmu25", frames, 0.1, frames, stored=STORED) for frames in (24, 17, 24, 20, 9)]
-    solvers = [PRESETS["str_yang2020"].solver(p) for p in problems]
+    solvers = [PUBLISHED["str_yang2020"].solver(p) for p in problems]
     problems[2] = eqx.tree_at(lambda p: p.positions, problems[2], problems[2].positions.at[0, 3, 5].set(jnp.nan))
     problems[3] = eqx.tree_at(lambda p: p.weights, problems[3], 0 * problems[3].weights)
     batch = eqx.filter_jit(jax.vmap(partial(solve, max_steps=400)))(stack(solvers), stack(problems))
@@ -179,7 +179,7 @@ def test_missing_samples_count_for_nothing():
     gone[7, 4:9] = gone[15, 18] = True
     problem = eqx.tree_at(lambda p: p.weights, problem, jnp.where(gone, 0.0, problem.weights))
     other = eqx.tree_at(lambda p: p.positions, problem, jnp.where(gone, problem.positions + 0.01, problem.positions))
-    solver = with_tolerance(PRESETS["str_yang2020"].solver(problem), 1e-8)
+    solver = with_tolerance(PUBLISHED["str_yang2020"].solver(problem), 1e-8)
     a, b = (run(solver, p, 20000) for p in (problem, other))
     np.testing.assert_allclose(answer(a, problem), answer(b, other), atol=1e-5)
 
@@ -188,7 +188,7 @@ def test_growing_penalties_alone_are_no_verdict():
     """With penalties that outgrow the problem the constraints hold ever better and the answer stays wrong: only the
     primal residual falls, so the verdict is not `converged`."""
     problem = catalogue_problem("cmu25", STORED, 0.2, 0, stored=STORED)
-    printed = replace(PRESETS["str_yang2020"], initialisation="printed")
+    printed = replace(PUBLISHED["str_yang2020"], initialisation="printed")
     solution = run(printed.solver(problem), problem, 400)
     assert solution.trace.primal_residual[-1] < 1e-6
     assert solution.result == Result.max_steps
@@ -196,7 +196,7 @@ def test_growing_penalties_alone_are_no_verdict():
 
 def test_trace_is_nan_after_the_last_step():
     problem = catalogue_problem("chain", STORED, 0.0, 0, stored=STORED)
-    solution = run(PRESETS["lowrank_wang2016"].solver(problem), problem, 500)
+    solution = run(PUBLISHED["lowrank_wang2016"].solver(problem), problem, 500)
     steps = int(solution.steps)
     assert 0 < steps < 500
     for column in jax.tree.leaves(solution.trace):
@@ -214,7 +214,7 @@ def test_other_weights_compile_nothing_anew():
 
     problem = catalogue_problem("chain", STORED, 0.1, 0, stored=STORED)
     for weight in (1.0, 100.0):
-        counted(replace(PRESETS["str_yang2020"], isometry_weight=weight, penalty=weight).solver(problem), problem)
+        counted(replace(PUBLISHED["str_yang2020"], isometry_weight=weight, penalty=weight).solver(problem), problem)
     assert len(traces) == 1
 
 

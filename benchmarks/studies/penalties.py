@@ -81,7 +81,7 @@ def short_clips(data: Path) -> dict:
                 known = cmu25(clip, data)
                 truth = known.positions[40 : 40 + frames]
                 corrupted, hit = corrupt.joints(truth, rate, seed=seed)
-                estimate = estimate_bone_lengths(known.skeleton.bone_lengths_of(corrupted))
+                estimate = estimate_bone_lengths(known.skeleton.bone_lengths_of(corrupted)).length
                 for name, lengths in zip(ratios, (known.lengths, estimate), strict=True):
                     if hit.any():
                         found = recover(corrupted, known.skeleton, preset=preset, bone_lengths=lengths).positions

@@ -18,11 +18,11 @@ from motionrecover.intake import fill
 from motionrecover.io import load, save, write_beside
 from motionrecover.io.border import counted
 from motionrecover.motion import Motion
-from motionrecover.recover import TRUST, Recovery
+from motionrecover.recover import Recovery
 from motionrecover.recover import recover as run_recovery
 from motionrecover.synthesize import synthesize
 
-_PRESET = "str_yang2020"
+_PRESET = "robust"
 
 
 def recover(
@@ -33,8 +33,17 @@ def recover(
         Literal["estimate", "rest"],
         typer.Option(help="Bone lengths from the clip itself, or from the rest pose in the file."),
     ] = "estimate",
+    max_gap: Annotated[
+        int | None, typer.Option(min=0, metavar="FRAMES", help="Leave longer gaps missing instead of filling them.")
+    ] = None,
+    fill_unseen: Annotated[
+        bool, typer.Option("--fill-unseen", help="Place joints that no frame shows by their bones alone.")
+    ] = False,
+    plant_feet: Annotated[
+        bool, typer.Option("--plant-feet", help="Hold feet in place while they stand on the ground.")
+    ] = False,
     max_steps: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop after so many steps.")] = None,
-    dtype: Annotated[Literal["float32", "float64"], typer.Option(help="Precision of the computation.")] = "float32",
+    dtype: Annotated[Literal["float32", "float64"], typer.Option(help="Precision of the answer.")] = "float32",
     truth: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The true motion, if known, to measure the errors against.")
     ] = None,
@@ -68,13 +77,21 @@ def recover(
     if bone_lengths == "rest" and lengths is None:
         raise ValueError(f"{path} brings no rest pose to take bone lengths from: use --bone-lengths estimate")
     recovery, recovered = _recover(
-        clip, preset, quiet, bone_lengths=lengths, max_steps=max_steps, dtype=dtype, verbose=verbose
+        clip,
+        preset,
+        quiet,
+        bone_lengths=lengths,
+        max_gap=max_gap,
+        fill_unseen=fill_unseen,
+        plant_feet=plant_feet,
+        max_steps=max_steps,
+        dtype=dtype,
+        verbose=verbose,
     )
     save(recovered, output, overwrite=overwrite)
     if figure is not None:
         _draw(reference, clip, recovered, figure, overwrite)
 
-    moved = np.linalg.norm(recovered.positions - clip.positions, axis=-1)[clip.observed]
     clips = {"before": fill(facts.measured(clip)), "after": recovered.positions}
     found = {
         "input": str(path),
@@ -86,8 +103,7 @@ def recover(
         "bone_lengths": bone_lengths,
         **facts.verdict(recovery),
         **facts.measures(clips, clip.skeleton, recovery.bone_lengths, reference),
-        "changed_share": float((moved > TRUST).mean()),
-        "missing_filled": int((~clip.observed).sum()),
+        **facts.changes(recovery),
     }
     if json:
         terminal.print_json(found)
@@ -97,9 +113,7 @@ def recover(
         print()
         facts.print_measures(found)
         print()
-        print(f"moved by more than {100 * TRUST:.0f} cm: {terminal.percent(found['changed_share'])} of the samples")
-        if found["missing_filled"]:
-            print(f"missing samples filled in: {found['missing_filled']} (`before` has straight lines there)")
+        facts.print_changes(found)
         print("wrote", " and ".join(str(each) for each in (output, figure) if each is not None))
 
 

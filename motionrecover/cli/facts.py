@@ -12,6 +12,7 @@ from motionrecover.evidence.bone_lengths import estimate_bone_lengths
 from motionrecover.io.border import counted
 from motionrecover.motion import UNITS, Motion
 from motionrecover.recover import Recovery
+from motionrecover.robust import Change
 from motionrecover.skeleton import ZERO_LENGTH, Skeleton
 
 AJE, ABE, DEVIATION = "joint error (AJE)", "bone-length error (ABE)", "bone-length deviation"
@@ -37,7 +38,7 @@ def contents(motion: Motion) -> Facts:
     """What a motion holds."""
     skeleton, positions = motion.skeleton, measured(motion)
     found = skeleton.bone_lengths_of(positions)
-    typical = estimate_bone_lengths(found)
+    typical = estimate_bone_lengths(found).length
     lengths = typical if skeleton.rest_lengths is None else skeleton.rest_lengths
     steps = np.nan_to_num(np.linalg.norm(np.diff(positions, axis=0), axis=-1))
     if not steps.size:
@@ -115,14 +116,54 @@ def measures(
 ) -> Facts:
     """Errors of each clip against the bone lengths that were used, and against the truth if there is one."""
 
+    # All clips are measured where all have a position, so that their numbers compare.
+    known = np.logical_and.reduce([np.isfinite(positions).all(-1) for positions in clips.values()])
+
     def each(measure) -> dict[str, float]:
         return {name: 1000 * measure(positions) for name, positions in clips.items()}
 
     facts = {}
     if truth is not None:
-        facts["aje_mm"] = each(lambda positions: metrics.aje(positions, truth.positions, truth.observed))
-        facts["abe_mm"] = each(lambda positions: metrics.abe(positions, truth.positions, skeleton, truth.observed))
-    return facts | {"bone_length_deviation_mm": each(lambda positions: metrics.abe(positions, lengths, skeleton))}
+        counts = known & truth.observed
+        facts["aje_mm"] = each(lambda positions: metrics.aje(positions, truth.positions, counts))
+        facts["abe_mm"] = each(lambda positions: metrics.abe(positions, truth.positions, skeleton, counts))
+    bones = [bone for bone, length in enumerate(lengths) if np.isfinite(length)]
+    edges = [skeleton.edges[bone] for bone in bones]
+    return facts | {
+        "bone_length_deviation_mm": each(lambda positions: metrics.abe(positions, lengths[bones], edges, known))
+    }
+
+
+def changes(recovery: Recovery) -> Facts:
+    """What happened to how many samples, and what stays unknown."""
+    names = recovery.skeleton.names
+    unknown = recovery.changed == Change.UNKNOWN
+    filled = recovery.changed == Change.FILLED
+    doubt = recovery.uncertainty[filled & np.isfinite(recovery.uncertainty)]
+    return {
+        "samples": {kind.name.lower(): int((recovery.changed == kind).sum()) for kind in Change},
+        "filled_uncertainty_mm": 1000 * float(doubt.mean()) if len(doubt) else None,
+        "swaps": [
+            f"{names[swap.first_joint]} and {names[swap.second_joint]}, frames {swap.start} to {swap.stop - 1}"
+            for swap in recovery.swaps
+        ],
+        "never_seen": [name for joint, name in enumerate(names) if not recovery.observed[:, joint].any()],
+        "partly_unknown": [name for joint, name in enumerate(names) if unknown[:, joint].any()],
+    }
+
+
+def print_changes(facts: Facts) -> None:
+    """Print what `changes` found."""
+    total = sum(facts["samples"].values())
+    print(", ".join(f"{kind} {percent(n / total)}" for kind, n in facts["samples"].items() if n), "of the samples")
+    if facts["filled_uncertainty_mm"] is not None:
+        print(f"filled samples are uncertain by {mm(facts['filled_uncertainty_mm'])} (root mean square)")
+    for swap in facts["swaps"]:
+        print(f"swapped, put right: {swap}")
+    if facts["never_seen"]:
+        print(f"never seen: {', '.join(facts['never_seen'])}")
+    if facts["partly_unknown"]:
+        print(f"missing in part or throughout, also in the answer: {', '.join(facts['partly_unknown'])}")
 
 
 def print_measures(facts: Facts) -> None:
@@ -136,7 +177,7 @@ def comparison(clip: Motion, truth: Motion, common: list[str]) -> Facts:
     """Errors of a clip against a truth with the same frames and joints, of which `common` are known."""
     counts = clip.observed & truth.observed
     where = {name: clip.names.index(name) for name in common}
-    lengths = estimate_bone_lengths(clip.skeleton.bone_lengths_of(truth.positions))
+    lengths = estimate_bone_lengths(clip.skeleton.bone_lengths_of(truth.positions)).length
     joints = {
         name: 1000 * metrics.aje(clip.positions[:, [j]], truth.positions[:, [j]], counts[:, [j]])
         for name, j in where.items()

@@ -100,7 +100,7 @@ def find_swaps(positions: np.ndarray, skeleton: Skeleton, bone_lengths: np.ndarr
     positions = np.array(positions, np.float64)
     positions[~np.isfinite(positions).all(-1)] = np.nan
     if bone_lengths is None:
-        bone_lengths = estimate_bone_lengths(skeleton.bone_lengths_of(positions))
+        bone_lengths = estimate_bone_lengths(skeleton.bone_lengths_of(positions)).length
     lengths = np.asarray(bone_lengths, np.float64)
     size = _quantile(lengths[lengths > 0])
     if not (size > 0 and len(positions) >= LEAST_FRAMES):

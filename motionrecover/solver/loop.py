@@ -1,15 +1,43 @@
 """The loop: counts, checks and records the steps of a solver."""
 
+from typing import Any, Protocol
+
 import jax
 import jax.numpy as jnp
 from jax import lax
 
 from motionrecover.solver.problem import Problem
-from motionrecover.solver.result import Result, Solution, Trace
-from motionrecover.solver.step import Solver
+from motionrecover.solver.result import Result, Solution
 
 
-def solve(solver: Solver, problem: Problem, max_steps: int) -> Solution:
+class Iteration(Protocol):
+    """What the loop needs of a solver: `step.Solver` and `smoother.Smoother` have it."""
+
+    trace: Any
+    """Type of a step's information, and of the trace: one row a step."""
+
+    def init(self, problem: Problem) -> Any:
+        """The first state."""
+        ...
+
+    def step(self, problem: Problem, state: Any) -> tuple[Any, Any]:
+        """The next state, and what the step tells."""
+        ...
+
+    def check(self, problem: Problem) -> Result:
+        """Verdict on the input."""
+        ...
+
+    def terminate(self, info: Any) -> Result:
+        """Verdict after a step."""
+        ...
+
+    def answer(self, problem: Problem, state: Any) -> tuple[Any, Any]:
+        """Positions and outliers, (3, joint, frame)."""
+        ...
+
+
+def solve(solver: Iteration, problem: Problem, max_steps: int) -> Solution:
     """Steps until the solver says it is done, or `max_steps`.
 
     `vmap` over problems (and solvers) gives each clip its own verdict: a clip that is done, or broken, is frozen while
@@ -32,4 +60,5 @@ def solve(solver: Solver, problem: Problem, max_steps: int) -> Solution:
     carry = (state, rows, solver.check(problem), jnp.array(0))
     state, rows, result, steps = lax.while_loop(more, advance, carry)
     result = Result.where(result == Result.running, Result.max_steps, result)
-    return Solution(state.a, state.e, result, steps, Trace(**vars(rows)))
+    positions, outliers = solver.answer(problem, state)
+    return Solution(positions, outliers, result, steps, solver.trace(**vars(rows)), state)

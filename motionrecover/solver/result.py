@@ -1,5 +1,7 @@
 """What comes back: a verdict, the answer, and the trace of how it was reached."""
 
+from typing import Any, ClassVar
+
 import equinox as eqx
 from jaxtyping import Array, Float, Int
 
@@ -8,13 +10,14 @@ class Result(eqx.Enumeration):
     """Verdict on one clip."""
 
     running = "The iteration has not ended."
-    converged = "Converged: primal and dual residuals are below the tolerance."
+    converged = "Converged: what a step still changes is below the tolerance."
     max_steps = (
         "Stopped at the maximum number of steps before the residuals were below the tolerance: "
         "the answer is usable, raise max_steps to refine it."
     )
     non_finite_input = "The input holds NaN or infinite numbers where it is marked as observed: mark them as missing."
     non_finite = "The iteration left the finite numbers: lower the penalty or its growth, or use float64."
+    partly_unknown = "Recovered in part: too few intact joints for long, or gaps longer than max_gap, stay NaN."
     nothing_observed = "No sample is observed: there is nothing to recover from."
 
 
@@ -40,6 +43,8 @@ class Trace(eqx.Module):
     inner_steps: Float[Array, " step"]
     """Conjugate gradient steps of the N-subproblem; 0 where elimination solved it."""
 
+    shown: ClassVar[tuple[str, ...]] = ("objective", "primal_residual", "dual_residual", "rank", "penalty")
+
     @property
     def objective(self) -> Float[Array, " step"]:
         """Value of Eq. 8 at the split variables: the energy of the papers' convergence figures."""
@@ -55,4 +60,7 @@ class Solution(eqx.Module):
     """E."""
     result: Result
     steps: Int[Array, ""]
-    trace: Trace
+    trace: Any
+    """`Trace` of the published models, `SmootherInfo` of the robust one; one row a step."""
+    state: Any
+    """The solver's last state."""

@@ -22,6 +22,8 @@ via ADMM", 2011, Sec. 3.2). A growing penalty forces the constraints to hold wha
 hence a verdict on both residuals.
 """
 
+from typing import ClassVar
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -32,7 +34,7 @@ from motionrecover.isometry.objective import bone_vectors, residual, transpose_p
 from motionrecover.prox import singular_value_threshold, soft_threshold
 from motionrecover.skeleton import is_forest
 from motionrecover.solver.problem import Problem
-from motionrecover.solver.result import Result
+from motionrecover.solver.result import Result, Trace
 
 Positions = Float[Array, "3 joint frame"]
 Coefficients = Float[Array, "3 joint coefficient"]
@@ -98,6 +100,8 @@ class Solver(eqx.Module):
     """Start from A = 0 as printed, not from A = D."""
     wavelet: str = eqx.field(static=True)
     level: int = eqx.field(static=True)
+
+    trace: ClassVar[type] = Trace
 
     def init(self, problem: Problem) -> State:
         """Line 2 of Algorithm 1: E = Z = 0, N = D, and A = D (or 0 where `zero_start`)."""
@@ -184,6 +188,10 @@ class Solver(eqx.Module):
         finite = jnp.isfinite(info.primal_residual) & jnp.isfinite(info.dual_residual)
         result = Result.where(done, Result.converged, Result.running)
         return Result.where(finite, result, Result.non_finite)
+
+    def answer(self, problem: Problem, state: State) -> tuple[Positions, Positions]:
+        """A and E."""
+        return state.a, state.e
 
     def _wavedec(self, problem, x):
         return wavelets.wavedec(x, self.wavelet, self.level, problem.frames)

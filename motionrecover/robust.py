@@ -1,0 +1,309 @@
+"""The `robust` preset: what the clip itself shows about noise, outliers, bones and motion, put together.
+
+    1. Runs of swapped joints are put right (evidence.swaps).
+    2. Bones get their length, and how well it is kept (evidence.bone_lengths); the drive its first guess.
+    3. Outliers, noise level and drive are found with the motion (solver.smoother), in windows that overlap.
+    4. Samples without an intact one for some frames are also predicted from the other joints (evidence.regression);
+       the two predictions are averaged by their variances. The smoother is sure beside intact samples, the regression
+       in the middle of a gap.
+    5. Positions move onto the bone lengths, uncertain ones first (isometry.projection).
+    6. What nothing speaks for stays NaN.
+
+Lengths enter only as multiples of the median bone, times as frames of the clip: units, frame rate, origin and heading
+do not matter. Everything is float64: variances of missing and of noiseless samples are nine orders of magnitude apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motionrecover import windows
+from motionrecover.evidence.bone_lengths import BoneLengths, estimate_bone_lengths, evidence, scale_about
+from motionrecover.evidence.contacts import find_contacts, foot_joints, plant
+from motionrecover.evidence.drive import estimate_drive
+from motionrecover.evidence.regression import bone_distance, predict_missing
+from motionrecover.intake import Intake
+from motionrecover.isometry.projection import project
+from motionrecover.presets import Robust
+from motionrecover.programs import bucket, run
+from motionrecover.skeleton import Skeleton
+from motionrecover.solver import Problem, Result, Smoother, Solution
+from motionrecover.solver.smoother import INTACT
+
+BODY = 3
+"""Intact joints that place a body in space."""
+LONG = 10
+"""Frames. Over a longer run with fewer than `BODY` intact joints nothing says what the others did."""
+SHORT = 4
+"""Frames. In gaps shorter than this the smoother predicts better than the other joints do."""
+
+
+NOISY, ALL = 0.2, 0.7
+"""Noise above this many median bones that is also this share of all that varies leaves no motion to see. A walker whose
+every sample is displaced by 25 cm keeps a quarter of the displacement as error and stays below the second."""
+
+
+class Change(IntEnum):
+    """What happened to a sample."""
+
+    UNTOUCHED = 0
+    DENOISED = 1
+    REPAIRED = 2
+    FILLED = 3
+    UNKNOWN = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Restored:
+    """The answer on the solver's joints, arrays (frame, joint, ...)."""
+
+    positions: np.ndarray
+    """NaN where unknown."""
+    variance: np.ndarray
+    """Of the error of one axis."""
+    intact: np.ndarray
+    """Probability that a sample is; 0 where missing."""
+    exact: bool
+    """Whether the clip has no noise to remove: intact samples are then as they came."""
+    bones: BoneLengths
+    solutions: list[Solution]
+
+
+def restore(clip: Intake, preset: Robust, given: bool, max_steps: int, seconds: dict[str, float]) -> Restored:
+    """Steps 2 to 6, for a clip whose joints are all observed somewhere. `given`: the bone lengths are not estimates."""
+    observed = clip.merged_weights > 0
+    data = np.where(observed[..., None], clip.merged, np.nan)
+    bones = _bones(data, clip, given)
+    spread = bones.spread[bones.rigid] / np.sqrt(2)
+    noise_max = float(np.quantile(spread, 0.25)) if len(spread) else np.inf
+    scale = _scale(data, bones)
+    exact = noise_max < Smoother.FLOOR * scale
+
+    spans = windows.split(len(data), preset.window or len(data), min(preset.overlap, (preset.window or 1) - 1))
+    stored = bucket(spans[0].stop - spans[0].start)
+    together = evidence(_lengths(data, clip.edges), bones)
+    pieces, solutions = [], []
+    with jax.enable_x64(True):
+        for span in spans:
+            solution, origin = _solve(clip, span, stored, together[span], bones, scale, noise_max, max_steps, seconds)
+            size, state = span.stop - span.start, solution.state
+            found = np.asarray(state.positions)[:size] + origin
+            pieces.append((found, np.asarray(state.covariance)[:size], np.asarray(state.intact)[:size]))
+            solutions.append(solution)
+        positions, covariance, intact = (windows.blend(list(part), spans) for part in zip(*pieces, strict=True))
+
+        noise = np.array([float(solution.trace.noise[int(solution.steps) - 1]) for solution in solutions])
+        kept = observed & (intact > INTACT) & ~_hopeless(data, noise, spans, scale)
+        if exact:
+            positions = np.where(kept[..., None], clip.merged, positions)
+        variance = np.maximum(np.einsum("tjj->tj", covariance), 0)
+        positions, combined = _with_regression(positions, variance, kept, clip.edges)
+        if exact:
+            combined[kept] = 0
+        ratio = np.sqrt(combined / np.maximum(variance, np.finfo(float).tiny))
+        if not given:
+            bones = estimate_bone_lengths(_lengths(np.where(kept[..., None], data, np.nan), clip.edges))
+        covariance = covariance * ratio[:, :, None] * ratio[:, None]
+        positions = _project(positions, covariance, bones, clip.edges, stored)
+    lost = _lost(kept)
+    return Restored(
+        positions=np.where((lost & ~kept)[..., None], np.nan, positions),
+        variance=np.where(lost & ~kept, np.inf, combined),
+        intact=np.where(observed, intact, 0),
+        exact=exact,
+        bones=bones,
+        solutions=solutions,
+    )
+
+
+def verdict(restored: Restored) -> Result:
+    """The worst of the windows', or that samples stay unknown."""
+    results = [solution.result for solution in restored.solutions]
+    for result in (Result.nothing_observed, Result.non_finite_input, Result.non_finite):
+        if any(bool(r == result) for r in results):
+            return result
+    if np.isnan(restored.positions).any():
+        return Result.partly_unknown
+    return next((r for r in results if not bool(r == Result.converged)), Result.converged)
+
+
+def fill_unseen(positions: np.ndarray, edges: Any, bone_lengths: np.ndarray) -> np.ndarray:
+    """Positions (frame, joint, 3) with joints that are NaN throughout placed by their bones.
+
+    Between two neighbours: at its distances from both, bent away from the body. Beyond one: straight on from the bone
+    before, as a stretched limb. Only a guess: a bone does not say which way it points. A joint whose bones have no
+    finite length, or whose neighbours are not known, stays NaN.
+    """
+    out, edges = positions.copy(), [tuple(edge) for edge in edges]
+    length = {edge: l for edge, l in zip(edges, bone_lengths, strict=True) if np.isfinite(l) and l > 0}
+    unseen = [joint for joint in range(positions.shape[1]) if np.isnan(positions[:, joint]).all()]
+    near = {
+        joint: [(a + b - joint, length[a, b]) for a, b in edges if joint in (a, b) and (a, b) in length]
+        for joint in range(positions.shape[1])
+    }
+    for _ in unseen:
+        for joint in unseen:
+            known = [(k, l) for k, l in near[joint] if not np.isnan(out[:, k]).all()]
+            if not np.isnan(out[:, joint]).all() or not known:
+                continue
+            if len(known) > 1:
+                out[:, joint] = _on_the_circle(out, *known[0], *known[1])
+                continue
+            k, l = known[0]
+            before = [m for m, _ in near[k] if m != joint and not np.isnan(out[:, m]).all()]
+            if before:
+                along = out[:, k] - out[:, before[0]]
+                out[:, joint] = out[:, k] + l * along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
+    return out
+
+
+def _on_the_circle(positions, i, l_i, j, l_j):
+    """The point at distances l_i and l_j from two joints that is farthest from the body's middle."""
+    across = positions[:, j] - positions[:, i]
+    distance = np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
+    unit = across / distance
+    along = (distance**2 + l_i**2 - l_j**2) / (2 * distance)
+    centre = positions[:, i] + along * unit
+    out = centre - np.nanmean(positions, 1)
+    out -= np.sum(out * unit, -1, keepdims=True) * unit
+    radius = np.sqrt(np.maximum(l_i**2 - along**2, 0))
+    return centre + radius * out / np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-12)
+
+
+def plant_feet(positions: np.ndarray, skeleton: Skeleton, bone_lengths: np.ndarray, fps: float) -> np.ndarray:
+    """Positions (frame, joint, 3), y up, with feet held in place during contacts, and the bones at their lengths.
+
+    Feet go where `evidence.contacts.plant` wants them; the other joints follow as little as the bones demand.
+    """
+    feet = foot_joints(skeleton, positions)
+    contacts = find_contacts(positions, fps, feet)
+    if not contacts.any():
+        return positions
+    targets, weights = plant(positions, contacts, feet, fps)
+    held = weights > 0
+    moved = positions.copy()
+    moved[:, feet] = np.where(held[..., None], targets, positions[:, feet])
+    freedom = np.ones(positions.shape[:2])
+    freedom[:, feet] = np.where(held, 1e-4, 1.0)
+    # A frame without contact has nothing to follow.
+    covariance = np.eye(positions.shape[1]) * (freedom * held.any(1, keepdims=True))[:, None]
+    known = np.isfinite(bone_lengths) & (bone_lengths > 0)
+    now = skeleton.bone_lengths_of(positions)[:, known]
+    # Bones that do not keep their length anyway are not held to it.
+    rigid = np.nanmax(np.abs(now - bone_lengths[known]), 0) < 1e-3 * bone_lengths[known]
+    edges = tuple(edge for edge, k in zip(np.asarray(skeleton.edges)[known].tolist(), rigid, strict=True) if k)
+    complete = np.isfinite(moved).all((1, 2))
+    with jax.enable_x64(True):
+        lengths = jnp.asarray(bone_lengths[known][rigid])
+        followed = project(jnp.asarray(moved[complete]), jnp.asarray(covariance[complete]), lengths, edges)
+    moved[complete] = np.asarray(followed)
+    return moved
+
+
+def _bones(data, clip, given):
+    lengths = _lengths(data, clip.edges)
+    return scale_about(lengths, clip.edge_lengths) if given else estimate_bone_lengths(lengths)
+
+
+def _lengths(positions, edges):
+    i, j = np.asarray(edges, int).reshape(-1, 2).T
+    return np.linalg.norm(positions[:, i] - positions[:, j], axis=-1)
+
+
+def _scale(data, bones):
+    """Median bone length; the body's own spread where there are no bones; 1 where there is neither."""
+    lengths = bones.length[np.isfinite(bones.length) & (bones.length > 0)]
+    if len(lengths):
+        return float(np.median(lengths))
+    known = data[np.isfinite(data).all(-1)]
+    across = np.median(np.linalg.norm(known - np.median(known, 0), axis=-1)) if len(known) else 0
+    return float(across) if across > 0 else 1.0
+
+
+def _solve(clip, span, stored, together, bones, scale, noise_max, max_steps, seconds):
+    """The solution of one window, and its origin."""
+    problem, origin = clip.problem(span, stored, np.dtype("float64"))
+    assert isinstance(problem, Problem)
+    drive = estimate_drive(clip.merged[span], clip.merged_weights[span] > 0)
+    # A hundredth of a bone a frame, where no three samples in a row tell; nothing that moves needs less than a 10^-5th.
+    drive = np.where(np.isnan(drive), (0.01 * scale) ** 2, np.maximum(drive, (1e-5 * scale) ** 2))
+    agreeing = np.median(bones.share[bones.rigid]) if bones.rigid.any() else 0.9
+    solver = Smoother(
+        evidence=jnp.asarray(np.pad(together, ((0, stored - len(together)), (0, 0)))),
+        drive=jnp.asarray(drive),
+        scale=jnp.asarray(scale),
+        outlier_share=jnp.asarray(float(np.clip(1 - np.sqrt(agreeing), 0.02, 0.95))),
+        noise_max=jnp.asarray(noise_max),
+        tolerance=jnp.asarray(0.02),
+    )
+    return run(solver, problem, max_steps, seconds), origin
+
+
+def _with_regression(positions, variance, kept, edges):
+    """Positions and variances with the regression's predictions averaged into longer gaps."""
+    gaps = in_runs(~kept, SHORT)
+    if not gaps.any():
+        return positions, variance.copy()
+    distance = bone_distance(edges, positions.shape[1])
+    predicted, doubt = predict_missing(positions, kept, distance, gaps)
+    weight = np.where(gaps & np.isfinite(doubt), variance / np.maximum(variance + doubt, np.finfo(float).tiny), 0)
+    both = variance * np.where(np.isfinite(doubt), doubt, 0) / np.maximum(variance + doubt, np.finfo(float).tiny)
+    return positions + weight[..., None] * (predicted - positions), np.where(weight > 0, both, variance)
+
+
+def _hopeless(data, noise, spans, scale):
+    """Windows, as frames (frame, 1), in which what is measured is noise."""
+    hopeless = np.zeros((len(data), 1), bool)
+    for span, level in zip(spans, noise, strict=True):
+        part = data[span]
+        seen = np.isfinite(part[..., 0])
+        count = np.maximum(seen.sum(0), 1)
+        away = np.where(seen[..., None], part - np.nansum(part, 0) / count[:, None], 0)
+        varies = np.sum(away**2) / (3 * max(seen.sum() - len(count), 1))
+        # In a few frames nothing can be told from noise by time.
+        hopeless[span] |= len(part) > LONG and not level < NOISY * scale and level**2 > ALL * varies
+    return hopeless
+
+
+def in_runs(mask, shortest):
+    """Where `mask` (frame, joint) is True for at least `shortest` frames in a row."""
+    out = np.zeros_like(mask)
+    edge = np.zeros((1, mask.shape[1]), int)
+    steps = np.diff(np.concatenate([edge, mask.astype(int), edge]), axis=0)
+    for joint in range(mask.shape[1]):
+        for start, stop in zip(np.flatnonzero(steps[:, joint] > 0), np.flatnonzero(steps[:, joint] < 0), strict=True):
+            out[start:stop, joint] = stop - start >= shortest
+    return out
+
+
+def _lost(kept):
+    """Frames (frame, 1) of long runs with too few intact joints."""
+    few = kept.sum(1, keepdims=True) < min(BODY, kept.shape[1])
+    return in_runs(few, LONG + 1) if kept.any() else np.ones_like(few)
+
+
+@partial(jax.jit, static_argnums=3)
+def _projected(positions, covariance, lengths, edges):
+    return project(positions, covariance, lengths, edges)
+
+
+def _project(positions, covariance, bones, edges, block):
+    """`project` on the bones that keep their length, in blocks of one size so that one program does."""
+    rigid = bones.rigid & np.isfinite(bones.length)
+    if not rigid.any():
+        return positions
+    kept = tuple(edge for edge, r in zip(edges, rigid, strict=True) if r)
+    out = []
+    for start in range(0, len(positions), block):
+        part = slice(start, start + block)
+        pad = ((0, block - len(positions[part])), (0, 0), (0, 0))
+        moved = _projected(np.pad(positions[part], pad), np.pad(covariance[part], pad), bones.length[rigid], kept)
+        out.append(np.asarray(moved)[: len(positions[part])])
+    return np.concatenate(out)

@@ -1,0 +1,110 @@
+"""The fixed-interval smoother of a body whose joints move on together: linear in frames, exact, with error bars.
+
+Model, for every axis alike (x_t: the coordinate of all S joints in frame t):
+
+    x_t = 2 x_{t-1} - x_{t-2} + w_t,   w_t ~ N(0, a_t Q)        y_t = x_t + e_t,   e_ts ~ N(0, r_ts)
+
+The second difference is the discrete acceleration: its mean path is the cubic smoothing spline (Wahba, "Spline Models
+for Observational Data", 1990), with the covariance Q of the joints' accelerations beside it: what moves together is
+smoothed together, and a hidden joint is drawn along by the others. The activity a_t lets fast moments be sharp.
+
+Forward, with the state z_t = (x_t, x_{t-1}), x_t = H z_t, z_{t+1} = F z_t + H^T w_{t+1} (Kalman 1960; Joseph's form of
+the covariance update, which stays positive definite when r spans nine orders of magnitude):
+
+    V = H P H^T + diag(r),  K = P H^T V^-1,  v = y - H z,  z <- z + K v,  P <- (I - K H) P (I - K H)^T + K diag(r) K^T
+    z <- F z,  P <- F P F^T + a Q
+
+Backward, without inverting P (Bryson & Frazier 1963; de Jong, "Smoothing and interpolation with the state-space model",
+JASA 84, 1989; Durbin & Koopman 2012, Sec. 4.4-4.5), from g = 0, G = 0 behind the last frame:
+
+    u_t = V^-1 v + K^T g,  U_t = V^-1 + K^T G K
+    g <- (I - K H)^T g - H^T V^-1 v,  G <- (I - K H)^T G (I - K H) + H^T V^-1 H
+    E[z_t | y] = z - P g,  Var[z_t | y] = P - P G P;  then g <- F^T g,  G <- F^T G F
+
+u / diag(U) is y minus its prediction from all other samples, 1 / diag(U) the variance of that difference, r included.
+The first S entries of g and G give the score of the drive: E[w_t | y] = -a_t Q g, Var[w_t | y] = a_t Q - a_t^2 Q G Q.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Array, Float
+
+
+class Smoothed(eqx.Module):
+    """What the samples say about every frame."""
+
+    mean: Float[Array, "frame joint 3"]
+    covariance: Float[Array, "frame joint joint"]
+    """Of one axis."""
+    error: Float[Array, "frame joint 3"]
+    """Each sample minus its prediction from all others."""
+    error_variance: Float[Array, "frame joint"]
+    """Of one axis of `error`, noise of the sample included."""
+    score: Float[Array, "frame joint 3"]
+    """g: the smoothed drive is -a Q g."""
+    information: Float[Array, "frame joint joint"]
+    """G: what is known about the drive; the expectation of score score^T if the model is right."""
+
+
+def smooth(
+    samples: Float[Array, "frame joint 3"],
+    noise: Float[Array, "frame joint"],
+    drive: Float[Array, "joint joint"],
+    activity: Float[Array, " frame"],
+    start: Float[Array, ""],
+) -> Smoothed:
+    """Smooth samples of variance `noise` under the drive covariance Q and activity a, for each axis alike.
+
+    `start`: variance of the position before the first frame, around the first sample. A missing sample is one of a
+    variance like `start`: it says nothing that matters.
+    """
+    joints = samples.shape[1]
+    eye, whole = jnp.eye(joints), jnp.eye(2 * joints)
+
+    def forward(carry, row):
+        z, p = carry
+        y, r, a = row
+        factor = jnp.linalg.cholesky(p[:joints, :joints] + jnp.diag(r))
+        inverse = jax.scipy.linalg.cho_solve((factor, True), eye)
+        gain = p[:, :joints] @ inverse
+        innovation = y - z[:joints]
+        kept = whole.at[:, :joints].add(-gain)
+        after = kept @ p @ kept.T + (gain * r) @ gain.T
+        x = z + gain @ innovation
+        now, last = x[:joints], x[joints:]
+        A, B, C = after[:joints, :joints], after[:joints, joints:], after[joints:, joints:]
+        cross = 2 * A - B.T
+        ahead = jnp.block([[4 * A - 2 * (B + B.T) + C + a * drive, cross], [cross.T, A]])
+        return (jnp.concatenate([2 * now - last, now]), (ahead + ahead.T) / 2), (z, p, innovation, inverse, gain)
+
+    def backward(carry, row):
+        g, G = carry
+        z, p, innovation, inverse, gain = row
+        pull = inverse @ innovation
+        u, U = pull + gain.T @ g, inverse + gain.T @ G @ gain
+        kept = whole.at[:, :joints].add(-gain)
+        g = g.at[:joints].add(-gain.T @ g - pull)
+        G = (kept.T @ G @ kept).at[:joints, :joints].add(inverse)
+        G = (G + G.T) / 2
+        precision = jnp.diag(U)
+        smoothed = (
+            (z - p @ g)[:joints],
+            (p - p @ G @ p)[:joints, :joints],
+            u / precision[:, None],
+            1 / precision,
+            g[:joints],
+            G[:joints, :joints],
+        )
+        A, B, C = G[:joints, :joints], G[:joints, joints:], G[joints:, joints:]
+        cross = -2 * A - B.T
+        G = jnp.block([[4 * A + 2 * (B + B.T) + C, cross], [cross.T, A]])
+        return (jnp.concatenate([2 * g[:joints] + g[joints:], -g[:joints]]), G), smoothed
+
+    first = jnp.concatenate([samples[0], samples[0]])
+    following = jnp.concatenate([activity[1:], activity[-1:]])
+    _, filtered = lax.scan(forward, (first, start * whole), (samples, noise, following))
+    nothing = jnp.zeros_like(first), jnp.zeros_like(whole)
+    _, smoothed = lax.scan(backward, nothing, filtered, reverse=True)
+    return Smoothed(*smoothed)

@@ -1,0 +1,266 @@
+"""The robust recovery of a clip: outliers, noise level and drive of the motion, found with the motion itself.
+
+Model: x follows the joint second-difference prior of `solver.kalman` with unknown drive covariance Q and activity a;
+a sample is intact or not,
+
+    y_ts = x_ts + e_ts,   e ~ N(0, s^2 / c_ts I) if intact,   e ~ N(0, o^2 I) if not (a share pi),
+
+c its confidence, and two intact neighbours are at their bone's length (`solver.beliefs`). In the terms of STR (Yang et
+al. 2020, Eq. 7): E is carried by whole samples; Q is the low rank, learnt with the noise in sight instead of shrunk by
+a fixed amount; the second difference takes the wavelets' place. Shrinking wavelet coefficients by the same noise
+level costs more error, and no parameter of it survives a change of frame rate: benchmarks/studies/robust.py.
+
+One step is one pass of expectation conditional maximisation (Meng & Rubin 1993):
+
+    r = s^2 / c where intact, o^2 where not (1 / r the mean of both by p while annealing)
+    (mean, covariance, error, error_variance, g, G) = smooth(y, r, Q, a)                              solver.kalman
+    p = P(intact | y) by beliefs( log (1 - pi) / pi + log f(error) / N(error; v + o^2), bones )
+        v: variance of the prediction from all other samples; f(e) = N(e; v + s^2 / c) / 2 + t_4(e; v) / 2. Student's t,
+        because people hit the ground: with a normal density alone, 4 % of the samples of clean walks were taken for
+        outliers. Noise has no such tails: with s in the scale of t, spikes of 10 cm in 3 mm of noise pass.
+    Q = N^-1/2 (N^1/2 Q M Q N^1/2)^1/2 N^-1/2,  M = mean a g g^T / 3,  N = mean a G            while settling
+        the minorise-maximise step for variance components (Zhou et al., "MM algorithms for variance components
+        models", JCGS 28, 2019, in matrix form); ten of them do what hundreds of EM steps do. S / (T + S) of it is
+        drawn to its diagonal: few frames cannot show S (S + 1) / 2 numbers.
+    log a += log( g^T Q g / 3 tr(G Q) ) / 2, both smoothed over `ACTIVITY` frames              while settling
+    pi, o^2, s^2 = shares and mean squares of the two kinds; s falls no faster than to `cooling` of itself while
+        annealing (graduated non-convexity, Blake & Zisserman 1987), and ends between `floor` and `noise_max`.
+"""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.scipy.special import gammaln
+from jaxtyping import Array, Float, Int
+
+from motionrecover.solver.beliefs import beliefs
+from motionrecover.solver.kalman import smooth
+from motionrecover.solver.problem import Problem
+from motionrecover.solver.result import Result
+
+Scalar = Float[Array, ""]
+Samples = Float[Array, "frame joint"]
+
+FREEDOM = 4.0
+"""Degrees of freedom of the predictions' tails."""
+ACTIVITY = 5.0
+"""Frames: standard deviation of the window in which the activity is measured. 4 to 10 frames give errors within 1 %."""
+INTACT = 0.5
+"""A sample is used as intact above this probability."""
+SETTLE = 5
+"""Steps after annealing that Q and a are given before standing still counts as convergence."""
+CAP = 3.0
+"""One frame counts in Q as if its drive were at most this many times what the model expects: an accepted outlier must
+not teach the model that such jumps are human."""
+
+
+class SmootherState(eqx.Module):
+    """What is believed about the clip after a step; `noise` and `outlier` are variances of one axis."""
+
+    positions: Float[Array, "frame joint 3"]
+    covariance: Float[Array, "frame joint joint"]
+    intact: Samples
+    drive: Float[Array, "joint joint"]
+    activity: Float[Array, " frame"]
+    noise: Scalar
+    outlier: Scalar
+    outlier_share: Scalar
+    step: Int[Array, ""]
+
+
+class SmootherInfo(eqx.Module):
+    """What one step tells; as a trace, one row a step, NaN from `Solution.steps` on. Lengths in the data's unit."""
+
+    change: Scalar
+    """Root mean square of what the step moved intact samples, relative to the noise."""
+    noise: Scalar
+    """s."""
+    outlier: Scalar
+    """o."""
+    outlier_share: Scalar
+    """pi."""
+
+    shown: ClassVar[tuple[str, ...]] = ("noise", "outlier", "outlier_share", "change")
+
+
+class Smoother(eqx.Module):
+    """Start and limits of the recovery of one clip. All arrays, so that other values compile nothing anew."""
+
+    evidence: Float[Array, "frame bone"]
+    """Log density ratio that both ends of a bone are intact."""
+    drive: Float[Array, " joint"]
+    """First guess of the diagonal of Q."""
+    scale: Scalar
+    """Size of the body: its median bone length. All lengths below are relative to it."""
+    outlier_share: Scalar
+    """First guess of pi."""
+    noise_max: Scalar
+    """What the bones' own spread allows: a body whose bones keep their length was not measured with noise."""
+    tolerance: Scalar
+    """`SmootherInfo.change` must fall below it."""
+    anneal: int = eqx.field(static=True, default=30)
+    """Steps in which the noise level comes down."""
+
+    trace: ClassVar[type] = SmootherInfo
+
+    HOT: ClassVar[float] = 0.6
+    """s of the first step: displaced samples look like noise, and the body's rough path shows."""
+    COLD: ClassVar[float] = 4e-3
+    """s that the annealing comes down to if the data allow."""
+    FLOOR: ClassVar[float] = 8e-4
+    """Smallest s. Below, variances of intact and missing samples are too far apart for float64."""
+    GROSS: ClassVar[float] = 0.16
+    """Smallest o: what is off by less is noise. Without it, clean clips grow outliers of a millimetre."""
+    FREE: ClassVar[float] = 8.0
+    """Standard deviation of where the body is before its first frame."""
+    MISSING: ClassVar[float] = 1e5
+    """Standard deviation of a missing sample and of padding: they say nothing, to the last digits."""
+
+    def init(self, problem: Problem) -> SmootherState:
+        """Beliefs from the bones alone; everything observed is smoothed as far as `HOT` goes."""
+        y = problem.positions.transpose(2, 1, 0)
+        frames, joints, _ = y.shape
+        observed = problem.weights.T > 0
+        alone = jnp.where(observed, jnp.log((1 - self.outlier_share) / self.outlier_share), 0.0)
+        hot = (self.HOT * self.scale) ** 2
+        return SmootherState(
+            positions=y,
+            covariance=jnp.zeros((frames, joints, joints), y.dtype),
+            intact=self._intact(problem, alone),
+            drive=jnp.diag(self.drive),
+            activity=jnp.ones(frames, y.dtype),
+            noise=hot,
+            outlier=hot,
+            outlier_share=self.outlier_share,
+            step=jnp.array(0),
+        )
+
+    def step(self, problem: Problem, state: SmootherState) -> tuple[SmootherState, SmootherInfo]:
+        """One pass of the updates in the module's docstring."""
+        y, confidence = problem.positions.transpose(2, 1, 0), problem.weights.T
+        frames = len(y)
+        observed = confidence > 0
+        confidence = jnp.maximum(confidence, 1e-3)
+        settling = state.step >= self.anneal
+
+        intact = state.intact
+        noise = state.noise / confidence
+        outlier = jnp.maximum(jnp.maximum(state.outlier, 4 * state.noise), (self.GROSS * self.scale) ** 2)
+        softly = 1 / (intact / noise + (1 - intact) / outlier)
+        r = jnp.where(settling, jnp.where(intact > INTACT, noise, outlier), softly)
+        r = jnp.where(observed, r, (self.MISSING * self.scale) ** 2)
+        s = smooth(y, r, state.drive, state.activity, (self.FREE * self.scale) ** 2)
+        variance = jnp.diagonal(s.covariance, axis1=1, axis2=2)
+
+        prediction = jnp.maximum(s.error_variance - r, 1e-3 * variance)
+        square = jnp.sum(s.error**2, -1)
+        odds = jnp.log((1 - state.outlier_share) / state.outlier_share)
+        odds = odds + _log_intact(square, prediction, noise) - _log_normal(square, prediction + outlier)
+        intact = self._intact(problem, jnp.where(observed, odds, 0))
+
+        # The first two frames have no second difference; padding has no score.
+        driven = (jnp.arange(frames) >= 2) & (jnp.arange(frames) < problem.frames)
+        drive = jnp.where(settling, _drive(state.drive, state.activity, s, driven), state.drive)
+        activity = jnp.where(settling, _activity(state.activity, state.drive, s, driven), state.activity)
+
+        weight = jnp.where(observed, intact, 0)
+        doubt = jnp.where(observed, 1 - intact, 0)
+        residual = jnp.sum((y - s.mean) ** 2, -1) / 3 + variance
+        share = jnp.clip(doubt.sum() / jnp.maximum(observed.sum(), 1), 1e-3, 0.95)
+        found = jnp.sum(weight * confidence * residual) / jnp.maximum(weight.sum(), 1e-9)
+        found = jnp.minimum(found, self.noise_max**2)
+        cooling = (self.COLD / self.HOT) ** (2 / self.anneal)
+        least = (self.FLOOR * self.scale) ** 2
+        slowly = jnp.where(settling, 0, cooling * state.noise)
+        new = SmootherState(
+            positions=s.mean,
+            covariance=s.covariance,
+            intact=intact,
+            drive=drive,
+            activity=activity,
+            noise=jnp.maximum(jnp.maximum(found, slowly), least),
+            outlier=jnp.sum(doubt * residual) / jnp.maximum(doubt.sum(), 1e-9),
+            outlier_share=share,
+            step=state.step + 1,
+        )
+        # Missing samples go on creeping with Q long after everything that was measured stands still.
+        moved = jnp.sum(weight[..., None] * (s.mean - state.positions) ** 2) / jnp.maximum(weight.sum(), 1e-9)
+        info = SmootherInfo(
+            change=jnp.where(state.step >= self.anneal + SETTLE, jnp.sqrt(moved / new.noise), jnp.inf),
+            noise=jnp.sqrt(new.noise),
+            outlier=jnp.sqrt(new.outlier),
+            outlier_share=share,
+        )
+        return new, info
+
+    def check(self, problem: Problem) -> Result:
+        """Verdict before the first step: on the input."""
+        finite = jnp.isfinite(problem.positions).all() & jnp.isfinite(problem.weights).all()
+        result = Result.where((problem.weights > 0).any(), Result.running, Result.nothing_observed)
+        return Result.where(finite, result, Result.non_finite_input)
+
+    def terminate(self, info: SmootherInfo) -> Result:
+        """Verdict after a step."""
+        result = Result.where(info.change < self.tolerance, Result.converged, Result.running)
+        return Result.where(jnp.isfinite(info.noise), result, Result.non_finite)
+
+    def answer(self, problem: Problem, state: SmootherState) -> tuple[Array, Array]:
+        """The motion, and what sets the samples apart from it that are not intact."""
+        a = state.positions.transpose(2, 1, 0)
+        out = (state.intact.T <= INTACT) & (problem.weights > 0)
+        return a, jnp.where(out, problem.positions - a, 0)
+
+    def _intact(self, problem, odds):
+        observed = problem.weights.T > 0
+        both = jnp.stack([observed[:, i] & observed[:, j] for i, j in problem.edges], -1) if problem.edges else False
+        together = jnp.where(both, self.evidence, 0)
+        return jnp.where(observed, jax.nn.sigmoid(beliefs(odds, together, problem.edges)), 0)
+
+
+def _log_intact(square, prediction, noise):
+    """Log of f: whichever of the noise and a sudden move explains the error, less 1.5 log(2 pi)."""
+    return jnp.logaddexp(_log_normal(square, prediction + noise), _log_t(square, prediction)) - jnp.log(2.0)
+
+
+def _log_t(square, variance):
+    """Log density of Student's t with `FREEDOM` in three dimensions, less 1.5 log(2 pi)."""
+    constant = gammaln((FREEDOM + 3) / 2) - gammaln(FREEDOM / 2) - 1.5 * jnp.log(FREEDOM / 2)
+    return constant - 1.5 * jnp.log(variance) - (FREEDOM + 3) / 2 * jnp.log1p(square / (FREEDOM * variance))
+
+
+def _log_normal(square, variance):
+    """Log density of the normal in three dimensions, less 1.5 log(2 pi)."""
+    return -1.5 * jnp.log(variance) - square / (2 * variance)
+
+
+def _drive(drive, activity, s, driven):
+    """The next Q."""
+    joints, count = drive.shape[0], jnp.maximum(driven.sum(), 1)
+    weight = jnp.where(driven, activity, 0)
+    found, expected = jnp.sum(s.score**2, (1, 2)) / 3, jnp.trace(s.information, axis1=1, axis2=2)
+    capped = weight * jnp.minimum(1, CAP * expected / jnp.maximum(found, 1e-30))
+    M = jnp.einsum("t,tsc,trc->sr", capped, s.score, s.score) / (3 * count)
+    N = jnp.einsum("t,tsr->sr", weight, s.information) / count
+    values, vectors = jnp.linalg.eigh(N)
+    root = jnp.sqrt(jnp.maximum(values, 1e-12 * values[-1]))
+    half, inverse = (vectors * root) @ vectors.T, (vectors / root) @ vectors.T
+    values, vectors = jnp.linalg.eigh(half @ drive @ M @ drive @ half)
+    q = inverse @ (vectors * jnp.sqrt(jnp.maximum(values, 0))) @ vectors.T @ inverse
+    q = (count * q + joints * jnp.diag(jnp.diag(q))) / (count + joints)
+    # A clip of one or two frames shows no drive at all.
+    return jnp.where(driven.any(), (q + q.T) / 2, drive)
+
+
+def _activity(activity, drive, s, driven):
+    """The next a, of geometric mean 1."""
+    found = jnp.where(driven, jnp.einsum("tsc,sr,trc->t", s.score, drive, s.score) / 3, 0)
+    expected = jnp.where(driven, jnp.einsum("tsr,rs->t", s.information, drive), 0)
+    reach = jnp.arange(-30, 31)
+    window = jnp.exp(-0.5 * (reach / ACTIVITY) ** 2)
+    found, expected = (jnp.convolve(x, window, mode="full")[30:-30] for x in (found, expected))
+    change = jnp.where(expected > 0, jnp.log(jnp.maximum(found, 1e-12 * expected) / expected) / 2, 0)
+    log = jnp.log(activity) + change
+    mean = jnp.sum(jnp.where(driven, log, 0)) / jnp.maximum(driven.sum(), 1)
+    return jnp.exp(jnp.clip(log - mean, -6, 6))
