@@ -33,7 +33,7 @@ def test_quick_run(tmp_path):
 def test_str_on_a_walk(shared_data, rate, limit, seed):
     clip = yang2020_protocol.cmu25("05_02", shared_data).head(300)
     data, _ = corrupt.joints(clip.positions, rate, seed=seed)
-    recovery = recover(data, clip.skeleton, bone_lengths=clip.lengths)
+    recovery = recover(data, clip.skeleton, bone_lengths=clip.lengths, preset="str_yang2020")
     assert metrics.aje(recovery.positions, clip.positions) <= limit
 
 
@@ -58,6 +58,6 @@ def test_no_clip_comes_back_worse(shared_data, name):
         start = rng.integers(full - length + 1)
         truth = clip.positions[start : start + length]
         data, hit = corrupt.joints(truth, rate, seed=rng)
-        recovery = recover(data, clip.skeleton, bone_lengths=clip.lengths if known else None)
+        recovery = recover(data, clip.skeleton, preset="str_yang2020", bone_lengths=clip.lengths if known else None)
         before, after = metrics.aje(data, truth), metrics.aje(recovery.positions, truth)
         assert after < before or not hit.any(), (name, int(start), int(length), rate, known, before, after)
