@@ -7,8 +7,8 @@ a sample is intact or not,
 
 c its confidence, and two intact neighbours are at their bone's length (`solver.beliefs`). In the terms of STR (Yang et
 al. 2020, Eq. 7): E is carried by whole samples; Q is the low rank, learnt with the noise in sight instead of shrunk by
-a fixed amount; the second difference takes the wavelets' place. Shrinking wavelet coefficients by the same noise
-level costs more error, and no parameter of it survives a change of frame rate: benchmarks/studies/robust.py.
+a fixed amount; the second difference takes the wavelets' place. On 16 CMU clips with 3 mm of noise, wavelets shrunk by
+the noise level leave 2.5 mm (shift-invariant ones 2.2), this 1.9 mm, and no parameter of it changes with the rate.
 
 One step is one pass of expectation conditional maximisation (Meng & Rubin 1993):
 
