@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from motionrecover.motion import Motion
+from motionrecover.runs import runs_of
 
 # Okabe & Ito's colours, which colour-blind readers tell apart.
 _COLOURS = {"truth": "#222222", "corrupted": "#E69F00", "recovered": "#0072B2"}
@@ -170,9 +171,8 @@ def _curves(axis, series: dict[str, np.ndarray], fps: float) -> None:
 
 
 def _band(axis, missing: np.ndarray, fps: float) -> None:
-    edges = np.flatnonzero(np.diff(np.r_[0, missing.astype(int), 0]))
-    for start, end in edges.reshape(-1, 2):
-        axis.axvspan((start - 0.5) / fps, (end - 0.5) / fps, color="0.9", linewidth=0, zorder=0)
+    for start, stop in runs_of(missing):
+        axis.axvspan((start - 0.5) / fps, (stop - 0.5) / fps, color="0.9", linewidth=0, zorder=0)
 
 
 def _hide(axes) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from motionrecover.evidence.bone_lengths import LEAST_FRAMES, estimate_bone_lengths
 from motionrecover.motion import refuse_infinite
+from motionrecover.runs import frames_away
 from motionrecover.skeleton import ZERO_LENGTH, Skeleton, components
 from motionrecover.solver import Problem
 
@@ -138,7 +139,7 @@ def take_in(
     merged = np.stack([_median(data[:, joints]) for joints in members], 1)
     merged_weights = np.stack([weights[:, joints].max(1) for joints in members], 1)
     if seen.any() and fill_reach is not None:
-        away = _frames_away(np.isfinite(merged[..., 0]))
+        away = frames_away(np.isfinite(merged[..., 0]))
         merged_weights = np.where(away > 0, 1 / (1 + away / fill_reach), merged_weights)
     return Intake(
         data=data,
@@ -175,14 +176,6 @@ def fill(positions: np.ndarray) -> np.ndarray:
             values = positions[seen, joint, axis]
             out[~seen, joint, axis] = np.interp(frames[~seen], frames[seen], values) if seen.any() else 0.0
     return out
-
-
-def _frames_away(seen):
-    """Frames from each sample (frame, joint) to the nearest one of its joint that was seen; infinite without one."""
-    frames = np.arange(len(seen), dtype=float)[:, None]
-    last = np.maximum.accumulate(np.where(seen, frames, -np.inf), 0)
-    following = np.minimum.accumulate(np.where(seen, frames, np.inf)[::-1], 0)[::-1]
-    return np.minimum(frames - last, following - frames)
 
 
 def _positions(data, skeleton):
@@ -238,9 +231,10 @@ def _lengths(bone_lengths, skeleton, data):
         if not np.isfinite(data).any():
             return np.ones(bones)  # nothing observed, nothing recovered: the solver's verdict says so
         lengths = estimate_bone_lengths(skeleton.bone_lengths_of(data)).length
-        # A bone whose ends are never seen together is measured between interpolated ends.
-        filled = estimate_bone_lengths(skeleton.bone_lengths_of(fill(data))).length
-        lengths = np.where(np.isnan(lengths), filled, lengths)
+        if np.isnan(lengths).any():
+            # A bone whose ends are never seen together is measured between interpolated ends.
+            filled = estimate_bone_lengths(skeleton.bone_lengths_of(fill(data))).length
+            lengths = np.where(np.isnan(lengths), filled, lengths)
         return np.where(_points(skeleton), 0.0, lengths)
     return checked_lengths(bone_lengths, skeleton)
 

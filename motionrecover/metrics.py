@@ -14,7 +14,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from motionrecover.motion import UP_AXES
-from motionrecover.skeleton import Skeleton
+from motionrecover.skeleton import Skeleton, bone_lengths
 
 Edges = Skeleton | Sequence[tuple[int, int]] | np.ndarray
 
@@ -152,10 +152,10 @@ def _ends(bones: Edges) -> np.ndarray:
 
 
 def _bone_lengths(positions: np.ndarray, bones: Edges) -> np.ndarray:
-    i, j = _ends(bones)
-    if max(i.max(initial=0), j.max(initial=0)) >= positions.shape[1]:
+    ends = _ends(bones)
+    if ends.max(initial=0) >= positions.shape[1]:
         raise ValueError(f"received bones of more joints than the {positions.shape[1]} of the positions")
-    return _length(positions[:, i] - positions[:, j])
+    return bone_lengths(positions, ends.T)
 
 
 def _length(vectors: np.ndarray) -> np.ndarray:

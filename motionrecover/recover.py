@@ -14,6 +14,7 @@ from motionrecover.evidence.swaps import Swap, find_swaps, undo
 from motionrecover.presets import Preset, Robust, find
 from motionrecover.programs import bucket, run
 from motionrecover.robust import Change
+from motionrecover.runs import run_lengths
 from motionrecover.skeleton import Skeleton
 from motionrecover.solver import Result, Solution
 
@@ -35,8 +36,9 @@ class Recovery:
     """E (frame, joint, 3): what sets observed samples apart from the motion as gross error; 0 elsewhere."""
     weights: np.ndarray
     """(frame, joint) in [0, 1]: how far each sample was trusted; 0 where missing. `robust`: confidence times the
-    probability that the sample is intact. Published models: confidence times the Huber weight of the distance it was
-    moved, 1 up to 1 cm and 1 cm / distance beyond (Huber, "Robust Statistics", 1981, Sec. 7.3)."""
+    probability that the sample is intact, 0 where all that is measured is noise. Published models: confidence times
+    the Huber weight of the distance it was moved, 1 up to 1 cm and 1 cm / distance beyond (Huber, "Robust Statistics",
+    1981, Sec. 7.3)."""
     changed: np.ndarray
     """(frame, joint) of `Change`: untouched, denoised, repaired, filled or unknown."""
     uncertainty: np.ndarray
@@ -195,12 +197,12 @@ def _robust(
         lengths = bone_lengths.copy()
     if fill_unseen:
         rest = skeleton.rest_lengths
-        known = np.where(np.isfinite(lengths) | (rest is None), lengths, rest)
+        known = lengths if rest is None else np.where(np.isfinite(lengths), lengths, rest)
         positions = robust.fill_unseen(positions, skeleton.edges, known)
     if plant_feet:
         positions = robust.plant_feet(positions, skeleton, lengths, fps)
     if max_gap is not None:
-        positions = np.where((robust.in_runs(~trusted, max_gap + 1) & ~there)[..., None], np.nan, positions)
+        positions = np.where(((run_lengths(~trusted) > max_gap) & ~there)[..., None], np.nan, positions)
     unknown = np.isnan(positions[..., 0])
     if unknown[:, seen].any() and bool(verdict == Result.converged):
         verdict = Result.partly_unknown

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import partial
 from typing import Any
 
 import jax
@@ -33,8 +32,9 @@ from motionrecover.intake import Intake
 from motionrecover.isometry.projection import project
 from motionrecover.presets import Robust
 from motionrecover.programs import bucket, run
-from motionrecover.skeleton import Skeleton
-from motionrecover.solver import Problem, Result, Smoother, Solution
+from motionrecover.runs import run_lengths
+from motionrecover.skeleton import Skeleton, bone_lengths
+from motionrecover.solver import Result, Smoother, Solution
 from motionrecover.solver.smoother import INTACT
 
 BODY = 3
@@ -43,8 +43,6 @@ LONG = 10
 """Frames. Over a longer run with fewer than `BODY` intact joints nothing says what the others did."""
 SHORT = 4
 """Frames. In gaps shorter than this the smoother predicts better than the other joints do."""
-
-
 NOISY, ALL = 0.2, 0.7
 """Noise above this many median bones that, with the outliers, is this share of all that varies leaves no motion to see.
 A walker whose every sample is displaced by 25 cm is still found to 6 cm, and stays below the second."""
@@ -69,7 +67,7 @@ class Restored:
     variance: np.ndarray
     """Of the error of one axis."""
     intact: np.ndarray
-    """Probability that a sample is; 0 where missing."""
+    """Probability that a sample is; 0 where missing and where all that is measured is noise."""
     exact: bool
     """Whether the clip has no noise to remove: intact samples are then as they came."""
     bones: BoneLengths
@@ -80,15 +78,17 @@ def restore(clip: Intake, preset: Robust, given: bool, max_steps: int, seconds: 
     """Steps 2 to 6, for a clip whose joints are all observed somewhere. `given`: the bone lengths are not estimates."""
     observed = clip.merged_weights > 0
     data = np.where(observed[..., None], clip.merged, np.nan)
-    bones = _bones(data, clip, given)
+    lengths = bone_lengths(data, clip.edges)
+    bones = scale_about(lengths, clip.edge_lengths) if given else estimate_bone_lengths(lengths)
     spread = bones.spread[bones.rigid] / np.sqrt(2)
     noise_max = float(np.quantile(spread, 0.25)) if len(spread) else np.inf
     scale = _scale(data, bones)
     exact = noise_max < Smoother.FLOOR * scale
 
-    spans = windows.split(len(data), preset.window or len(data), min(preset.overlap, (preset.window or 1) - 1))
+    window = preset.window or len(data)
+    spans = windows.split(len(data), window, min(preset.overlap, window - 1))
     stored = bucket(spans[0].stop - spans[0].start)
-    together = evidence(_lengths(data, clip.edges), bones)
+    together = evidence(lengths, bones)
     pieces, solutions = [], []
     with jax.enable_x64(True):
         for span in spans:
@@ -99,7 +99,8 @@ def restore(clip: Intake, preset: Robust, given: bool, max_steps: int, seconds: 
             solutions.append(solution)
         positions, covariance, intact = (windows.blend(list(part), spans) for part in zip(*pieces, strict=True))
 
-        kept = observed & (intact > INTACT) & ~_hopeless(data, solutions, spans, scale)
+        intact = np.where(observed & ~_hopeless(data, solutions, spans, scale), intact, 0)
+        kept = intact > INTACT
         if exact:
             positions = np.where(kept[..., None], clip.merged, positions)
         variance = np.maximum(np.einsum("tjj->tj", covariance), 0)
@@ -108,14 +109,14 @@ def restore(clip: Intake, preset: Robust, given: bool, max_steps: int, seconds: 
             combined[kept] = 0
         ratio = np.sqrt(combined / np.maximum(variance, np.finfo(float).tiny))
         if not given:
-            bones = estimate_bone_lengths(_lengths(np.where(kept[..., None], data, np.nan), clip.edges))
+            bones = estimate_bone_lengths(bone_lengths(np.where(kept[..., None], data, np.nan), clip.edges))
         covariance = covariance * ratio[:, :, None] * ratio[:, None]
         positions = _project(positions, covariance, bones, clip.edges, stored)
     lost = _lost(kept)
     return Restored(
         positions=np.where((lost & ~kept)[..., None], np.nan, positions),
         variance=np.where(lost & ~kept, np.inf, combined),
-        intact=np.where(observed, intact, 0),
+        intact=intact,
         exact=exact,
         bones=bones,
         solutions=solutions,
@@ -206,16 +207,6 @@ def plant_feet(positions: np.ndarray, skeleton: Skeleton, bone_lengths: np.ndarr
     return moved
 
 
-def _bones(data, clip, given):
-    lengths = _lengths(data, clip.edges)
-    return scale_about(lengths, clip.edge_lengths) if given else estimate_bone_lengths(lengths)
-
-
-def _lengths(positions, edges):
-    i, j = np.asarray(edges, int).reshape(-1, 2).T
-    return np.linalg.norm(positions[:, i] - positions[:, j], axis=-1)
-
-
 def _scale(data, bones):
     """Median bone length; the body's own spread where there are no bones; 1 where there is neither."""
     lengths = bones.length[np.isfinite(bones.length) & (bones.length > 0)]
@@ -229,7 +220,6 @@ def _scale(data, bones):
 def _solve(clip, span, stored, together, bones, scale, noise_max, max_steps, seconds):
     """The solution of one window, and its origin."""
     problem, origin = clip.problem(span, stored, np.dtype("float64"))
-    assert isinstance(problem, Problem)
     drive = estimate_drive(clip.merged[span], clip.merged_weights[span] > 0)
     # A hundredth of a bone a frame, where no three samples in a row tell; nothing that moves needs less than a 10^-5th.
     drive = np.where(np.isnan(drive), (0.01 * scale) ** 2, np.maximum(drive, (1e-5 * scale) ** 2))
@@ -247,7 +237,7 @@ def _solve(clip, span, stored, together, bones, scale, noise_max, max_steps, sec
 
 def _with_regression(positions, variance, kept, edges):
     """Positions and variances with the regression's predictions averaged into longer gaps."""
-    gaps = in_runs(~kept, SHORT)
+    gaps = run_lengths(~kept) >= SHORT
     if not gaps.any():
         return positions, variance.copy()
     distance = bone_distance(edges, positions.shape[1])
@@ -274,26 +264,13 @@ def _hopeless(data, solutions, spans, scale):
     return hopeless
 
 
-def in_runs(mask, shortest):
-    """Where `mask` (frame, joint) is True for at least `shortest` frames in a row."""
-    out = np.zeros_like(mask)
-    edge = np.zeros((1, mask.shape[1]), int)
-    steps = np.diff(np.concatenate([edge, mask.astype(int), edge]), axis=0)
-    for joint in range(mask.shape[1]):
-        for start, stop in zip(np.flatnonzero(steps[:, joint] > 0), np.flatnonzero(steps[:, joint] < 0), strict=True):
-            out[start:stop, joint] = stop - start >= shortest
-    return out
-
-
 def _lost(kept):
     """Frames (frame, 1) of long runs with too few intact joints."""
     few = kept.sum(1, keepdims=True) < min(BODY, kept.shape[1])
-    return in_runs(few, LONG + 1) if kept.any() else np.ones_like(few)
+    return run_lengths(few) > LONG if kept.any() else np.ones_like(few)
 
 
-@partial(jax.jit, static_argnums=3)
-def _projected(positions, covariance, lengths, edges):
-    return project(positions, covariance, lengths, edges)
+_projected = jax.jit(project, static_argnums=3)
 
 
 def _project(positions, covariance, bones, edges, block):

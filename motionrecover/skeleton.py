@@ -177,8 +177,7 @@ class Skeleton:
 
     def bone_lengths_of(self, positions: np.ndarray) -> np.ndarray:
         """Lengths (frame, bone) of the bones in positions (frame, joint, 3), in the unit of the positions."""
-        i, j = np.asarray(self.edges, int).reshape(-1, 2).T
-        return np.linalg.norm(positions[:, i] - positions[:, j], axis=-1)
+        return bone_lengths(positions, self.edges)
 
     def select(self, names: Sequence[str]) -> Skeleton:
         """The named joints in the given order; each is tied to its nearest kept ancestor.
@@ -199,6 +198,12 @@ class Skeleton:
         rigid = self.rest_offsets is not None and all(a == parents[j] for j, a in zip(kept, ancestors, strict=True))
         offsets = np.asarray(self.rest_offsets)[kept] if rigid else None
         return Skeleton.from_parents(names, [-1 if a == -1 else kept.index(a) for a in ancestors], offsets)
+
+
+def bone_lengths(positions: np.ndarray, edges: np.ndarray | Sequence[Sequence[int]]) -> np.ndarray:
+    """Lengths (frame, bone) in positions (frame, joint, 3) of bones given as pairs of joints; NaN without an end."""
+    i, j = np.asarray(edges, int).reshape(-1, 2).T
+    return np.linalg.norm(positions[:, i] - positions[:, j], axis=-1)
 
 
 def components(edges: Sequence[tuple[int, int]], joints: int) -> list[list[int]]:

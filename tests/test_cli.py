@@ -263,6 +263,13 @@ def test_corrupt_does_the_same_for_the_same_seed(folder, run):
     assert not np.array_equal(a, c, equal_nan=True)
 
 
+def test_corrupt_swaps_joints_that_the_skeleton_ties(folder, run):
+    assert run("corrupt", "truth.npz", "-o", "out.npz", "--protocol", "swap2x30", "--seed", "4")[0] == 0
+    expected, hit = corrupt.apply("swap2x30", TRUTH.positions, 4, TRUTH.skeleton)
+    np.testing.assert_array_equal(load("out.npz").positions, expected)
+    assert hit.sum() == 2 * 2 * 30
+
+
 def test_evaluate_matches_joints_by_name(folder, run):
     names = ["ltoes", "root", "lfoot", "ltibia"]
     part = load("corrupted.csv").select(names)

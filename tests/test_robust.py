@@ -123,6 +123,8 @@ def test_what_nothing_speaks_for_stays_unknown():
     assert "Recovered in part" in found.message
     white = recover(np.random.default_rng(0).normal(size=TRUTH.shape), SKELETON)
     assert np.isnan(white.positions).all()
+    assert white.observed.all()
+    assert not white.weights.any()
     assert "Recovered in part" in white.message
 
 

@@ -1,5 +1,6 @@
 import json
 
+import jax
 import numpy as np
 import pytest
 
@@ -163,6 +164,23 @@ def test_a_failure_is_counted_with_its_reason():
     assert "not finite" in next(iter(summary["leaves gaps"]["reasons"]))
     assert summary["works"]["scores"]["observed"]["mean"] == 0
     assert "ValueError: no" in table.render({"rows": {row.name: {**_entry(), "methods": summary}}, "ours": []})
+
+
+def test_only_calls_that_compile_are_made_twice():
+    truth = clips.Clip("walk", body(), BODY, 100)
+    calls = []
+
+    @jax.jit
+    def program(positions):
+        return positions + 0
+
+    def run(data, *_):
+        calls.append(len(data))
+        return np.asarray(program(data))
+
+    for _ in range(2):
+        measure.attempt(Method("ours", run, ours=True), truth.positions, truth, None)
+    assert calls == [200, 200, 200]
 
 
 def test_standard_error_counts_each_clip_once():

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from motionrecover.runs import runs_of
 from motionrecover.skeleton import Skeleton
 from motionrecover.synthesize import GRAVITY, synthesize
 
@@ -33,10 +34,10 @@ def test_skeleton_is_cmu25(clip):
 def test_planted_feet_do_not_slide(clip, side):
     ball = track(clip, f"{side}foot")
     planted = ball[:, 1] < ball[:, 1].min() + 1e-4
-    edges = np.flatnonzero(np.diff(np.r_[0, planted.astype(int), 0])).reshape(-1, 2)
-    assert len(edges) >= 4
+    runs = runs_of(planted)
+    assert len(runs) >= 4
     assert planted.mean() > 0.4
-    assert max(np.ptp(ball[start:end], axis=0).max() for start, end in edges) < 1e-3
+    assert max(np.ptp(ball[start:end], axis=0).max() for start, end in runs) < 1e-3
 
 
 @pytest.mark.parametrize("side", "lr")
@@ -51,9 +52,8 @@ def test_ankle_rests_while_the_foot_is_flat(clip, side):
 
 def test_somebody_carries_the_weight_except_in_the_jump(clip):
     aloft = np.minimum(track(clip, "lfoot")[:, 1], track(clip, "rfoot")[:, 1]) > 0.03
-    edges = np.flatnonzero(np.diff(np.r_[0, aloft.astype(int), 0])).reshape(-1, 2)
-    assert len(edges) == 1
-    assert 0.3 < np.diff(edges[0])[0] / clip.fps < 0.7
+    ((start, end),) = runs_of(aloft)
+    assert 0.3 < (end - start) / clip.fps < 0.7
     assert track(clip, "lfoot")[aloft, 1].max() > 0.2
 
 

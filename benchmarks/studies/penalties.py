@@ -17,7 +17,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.studies.yang2020_protocol import cmu25, data_folder
+from benchmarks.recordings import data_folder
+from benchmarks.studies.yang2020_protocol import cmu25
 from motionrecover import corrupt, metrics
 from motionrecover.evidence.bone_lengths import estimate_bone_lengths
 from motionrecover.io.atomic import write_beside

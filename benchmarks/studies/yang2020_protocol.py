@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -61,8 +60,6 @@ QUICK = Plan(
     lengths=(128,),
     repeats=1,
 )
-# Steps of 0.25 to 2.6 m in one frame in the files themselves: flipped arms, and one thrown body in 09_10.
-GLITCHED = {f"05_{k:02}" for k in (5, 6, 8, 10, *range(15, 21))} | {"09_10"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,11 +85,6 @@ class Clip:
     def head(self, frames: int) -> Clip:
         """The first frames; the bone lengths stay."""
         return replace(self, positions=self.positions[:frames])
-
-
-def data_folder() -> Path:
-    """The folder of real recordings, which is no part of the project."""
-    return Path(os.environ.get("MOTIONRECOVER_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 
 
 def cmu25(name: str, folder: Path) -> Clip:

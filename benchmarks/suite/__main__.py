@@ -18,7 +18,8 @@ from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
 
-from benchmarks.suite import baseline, clips, measure, methods, rows, table
+from benchmarks.recordings import data_folder
+from benchmarks.suite import baseline, measure, methods, rows, table
 from motionrecover.io.atomic import write_beside
 
 HERE = Path(__file__).parent
@@ -28,7 +29,7 @@ PACKAGES = ("jax", "numpy", "scipy", "gapfill", "simdkalman", "tensorly")
 
 def run(chosen: Sequence[rows.Row], names: Sequence[str], settings: dict[str, int], workers: int) -> dict:
     """The results of the chosen rows and methods, twenty notes on the way. A worker is a process with one thread."""
-    folder = clips.data_folder()
+    folder = data_folder()
     work, short = measure.tasks(folder, chosen, settings["clips"], settings["seeds"])
     # The libraries of a worker read these when it starts.
     os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"

@@ -1,13 +1,8 @@
-"""The clips of the suite: recorded motion on five skeletons, at any rate that divides 120 Hz.
-
-Nothing recorded is part of the project: clips are read from the folder `MOTIONRECOVER_DATA` or `../shared/data`, whose
-`cmu/npz/manifest.csv` lists every clip of the CMU Graphics Lab Motion Capture Database that it holds.
-"""
+"""The clips of the suite: recorded motion on five skeletons, at any rate that divides 120 Hz."""
 
 from __future__ import annotations
 
 import csv
-import os
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import groupby
@@ -15,22 +10,17 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.recordings import GLITCHED, MANIFEST
 from motionrecover.io import load
 from motionrecover.motion import Motion
 from motionrecover.skeleton import Skeleton
 
-MANIFEST = "cmu/npz/manifest.csv"
 RATE = 120
 """Frames a second of every recording."""
 FRAMES = 300
 """The longest clip: the middle frames of a recording, counted at the rate of the row."""
 RIGID = 0.005
 """A bone is rigid where its true length varies by less than this share of its mean over the clip."""
-
-GLITCHED = {f"05_{k:02}" for k in (5, 6, 8, 10, *range(15, 21))} | {
-    *("01_06", "01_07", "03_02", "07_12", "09_10", "14_10", "16_15", "16_23", "16_28")
-}
-"""Clips with a step of 0.25 to 2.6 m in one frame in the files themselves, by the README beside the data."""
 
 _LIMBS = ("UpLeg", "Leg", "Foot", "ToeBase", "Arm", "ForeArm", "Hand")
 _BVH19 = ["Hips", "Spine", "Spine1", "Neck1", "Head", *(side + part for side in ("Left", "Right") for part in _LIMBS)]
@@ -79,14 +69,6 @@ class Clip:
         lengths = self.skeleton.bone_lengths_of(self.positions)
         steady = np.ptp(lengths, axis=0) < RIGID * lengths.mean(0)
         return [edge for edge, keeps in zip(self.skeleton.edges, steady, strict=True) if keeps]
-
-
-def data_folder() -> Path:
-    """The folder of recordings. Raises `FileNotFoundError` where there is none."""
-    folder = Path(os.environ.get("MOTIONRECOVER_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
-    if not (folder / MANIFEST).is_file():
-        raise FileNotFoundError(f"no recordings at {folder}: set MOTIONRECOVER_DATA to a folder with cmu/npz")
-    return folder
 
 
 def pick(

@@ -15,6 +15,8 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import median_filter
 from scipy.signal import butter, sosfiltfilt
 
+from motionrecover.runs import run_lengths
+
 SHORT_GAP = 0.1
 """Seconds. Gaps up to here are filled by a spline before any method that needs whole frames, as editors do."""
 JERK = 10.0
@@ -97,7 +99,8 @@ def despike(positions: np.ndarray) -> np.ndarray:
 def cubic(positions: np.ndarray, longest: float = np.inf) -> np.ndarray:
     """A cubic spline in time over each gap of at most `longest` frames; the ends are held."""
     filled = _over_gaps(positions, lambda at, values: CubicSpline(at, values) if len(at) > 1 else lambda _: values)
-    return np.where((_gap_lengths(positions) <= longest)[..., None], filled, positions)
+    missing = np.any(np.isnan(positions), axis=-1)
+    return np.where((run_lengths(missing) <= longest)[..., None], filled, positions)
 
 
 def _filled(positions: np.ndarray) -> np.ndarray:
@@ -116,17 +119,6 @@ def _over_gaps(positions: np.ndarray, curve: Callable[[np.ndarray, np.ndarray], 
 
 def _lines(frames: np.ndarray, at: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(frames, at, values[:, axis]) for axis in range(3)], -1)
-
-
-def _gap_lengths(positions: np.ndarray) -> np.ndarray:
-    """(frame, joint): how many frames the gap around a missing sample has; 0 where a sample is."""
-    missing = np.any(np.isnan(positions), axis=-1)
-    lengths = np.zeros(missing.shape)
-    for joint in np.flatnonzero(missing.any(0)):
-        edges = np.flatnonzero(np.diff(missing[:, joint], prepend=False, append=False))
-        for start, stop in edges.reshape(-1, 2):
-            lengths[start:stop, joint] = stop - start
-    return lengths
 
 
 def _hampel(positions: np.ndarray, frames: int) -> tuple[np.ndarray, np.ndarray]:

@@ -58,7 +58,7 @@ class Row:
         rng = np.random.default_rng([seed, int(clip.name.replace("_", ""))])
         if self.protocol == "noise-3":
             return corrupt.noise(clip.positions, 0.003, rng)[0]
-        return corrupt.apply(self.protocol, clip.positions, rng)[0]
+        return corrupt.apply(self.protocol, clip.positions, rng, clip.skeleton)[0]
 
 
 # The subjects of Yang et al. 2020, whose protocol `iid` is.

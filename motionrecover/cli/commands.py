@@ -202,7 +202,7 @@ def corrupt(
     _hush(quiet)
     given.check_output(output, overwrite)
     clip = load(path, format=format, skeleton=skeleton, unit=unit, up=up, fps=fps, skip_first=skip_first)
-    positions, hit = apply(protocol, facts.measured(clip), seed)
+    positions, hit = apply(protocol, facts.measured(clip), seed, clip.skeleton)
     corrupted = clip.with_positions(positions, f"corrupted by {protocol}, seed {seed}")
     save(corrupted, output, overwrite=overwrite)
     removed = int(clip.observed.sum() - corrupted.observed.sum())

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from motionrecover.motion import UP_AXES
+from motionrecover.runs import runs_of
 from motionrecover.skeleton import Skeleton
 
 _FOOT_WORDS = re.compile(r"foot|feet|toe|ankle|heel|(?<![a-z])ball(?![a-z])|^[lr](ank|hee|mt\d)$")
@@ -119,7 +120,7 @@ def plant(positions: np.ndarray, contacts: np.ndarray, feet: Sequence[int], fps:
         raise ValueError(f"received contacts of shape {contacts.shape}: give (frame, foot) = {given.shape[:2]}")
     targets, weights = given.copy(), contacts.astype(np.float64)
     for foot in range(given.shape[1]):
-        runs = _runs(contacts[:, foot])
+        runs = runs_of(contacts[:, foot])
         ends = [(0, 0), *runs, (len(given), len(given))]
         for (_, before), (start, stop), (after, _) in zip(ends, runs, ends[2:], strict=False):
             place = geometric_median(given[start:stop, foot])
@@ -171,7 +172,7 @@ def _stays(track: np.ndarray, speed: np.ndarray, limit: float, stray: float) -> 
     A run that strays is searched again at a lower limit, which cuts it where it is fastest.
     """
     stays = []
-    for start, stop in _runs(speed < limit):
+    for start, stop in runs_of(speed < limit):
         part = track[start:stop]
         if np.linalg.norm(part - geometric_median(part), axis=-1).max() <= stray:
             stays.append((start, stop))
@@ -179,9 +180,3 @@ def _stays(track: np.ndarray, speed: np.ndarray, limit: float, stray: float) -> 
             within = _stays(part, speed[start:stop], 0.8 * limit, stray)
             stays += [(start + first, start + last) for first, last in within]
     return stays
-
-
-def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Start and stop of every run of True in mask (frame,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

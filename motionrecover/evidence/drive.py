@@ -15,8 +15,7 @@ def estimate_drive(positions: np.ndarray, observed: np.ndarray) -> np.ndarray:
     with the common value as a prior of `PRIOR` differences. Low by up to half where motion is uneven, which only makes
     the first smoothing stronger. NaN where there is nothing to tell.
     """
-    counted = observed[2:] & observed[1:-1] & observed[:-2] if len(positions) > 2 else np.zeros((0, positions.shape[1]))
-    counted = counted.astype(bool)
+    counted = observed[2:] & observed[1:-1] & observed[:-2]
     if not counted.any():
         return np.full(positions.shape[1], np.nan)
     squares = (np.diff(positions, 2, axis=0) ** 2).sum(-1) / 3
@@ -28,10 +27,10 @@ def estimate_drive(positions: np.ndarray, observed: np.ndarray) -> np.ndarray:
     fits = [_fit(pooled, np.quantile(pooled, q), wide) for q in (0.005, 0.02, 0.1, 0.3)]
     _, narrow, share = max(fits)
     variance = np.full(positions.shape[1], narrow)
-    square, count = np.where(counted, np.maximum(squares, 1e-12 * wide), 0), counted.astype(float)
+    square = np.where(counted, np.maximum(squares, 1e-12 * wide), 0)
     for _ in range(40):
         odds = np.log(1 / share - 1) + 1.5 * (np.log(variance / wide) + square / variance - square / wide)
-        intact = count / (1 + np.exp(np.clip(odds, -500, 500)))
+        intact = counted / (1 + np.exp(np.clip(odds, -500, 500)))
         variance = ((intact * square).sum(0) + PRIOR / 2 * narrow) / (intact.sum(0) + PRIOR / 2)
     return variance
 

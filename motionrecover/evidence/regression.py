@@ -29,6 +29,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from motionrecover.runs import frames_away, runs_of
+
 # Chosen on 16 clips of the CMU database with two draws of gap3x240 and gap3x60 at 120 Hz and gap3x15 at 30 Hz, mean
 # errors in the gaps. On 23 clips, most of them others, with two other draws: 28.9, 8.5 and 6.1 mm, linear
 # interpolation 163, 68 and 54; half of the errors below 0.7 to 0.8 of the standard deviation an axis, nine tenths below
@@ -124,7 +126,7 @@ def predict_missing(
         others = np.flatnonzero(usable & (np.arange(joints) != joint))
         away = np.minimum(distance[joint, others], joints)
         away -= away.min(initial=joints)
-        gaps = _runs(~known[:, joint])
+        gaps = runs_of(~known[:, joint])
         for group in _groups([gap for gap in gaps if wanted[slice(*gap), joint].any()]):
             train = _training_frames(known[:, joint], group)
             query = np.concatenate([np.flatnonzero(wanted[a:b, joint]) + a for a, b in group])
@@ -271,16 +273,7 @@ def _inputs(shapes: np.ndarray, share: np.ndarray, learnt: int) -> tuple[np.ndar
 
 def _trust(known: np.ndarray) -> np.ndarray:
     """Trust (frame, joint) in a sample: 1 if known, else by the frames to the nearest known one, at least `DOUBT`."""
-    frames = np.arange(len(known), dtype=np.float64)[:, None]
-    last = np.maximum.accumulate(np.where(known, frames, -np.inf), 0)
-    following = np.minimum.accumulate(np.where(known, frames, np.inf)[::-1], 0)[::-1]
-    return np.maximum((1 + np.minimum(frames - last, following - frames)) ** -2.0, DOUBT)
-
-
-def _runs(mask: np.ndarray) -> list[tuple[int, int]]:
-    """Start and stop of every run of True in mask (frame,)."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]])))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
+    return np.maximum((1 + frames_away(known)) ** -2.0, DOUBT)
 
 
 def _groups(gaps: list[tuple[int, int]]) -> list[list[tuple[int, int]]]:
