@@ -2,7 +2,8 @@
 
     1. Runs of swapped joints are put right (evidence.swaps).
     2. Bones get their length, and how well it is kept (evidence.bone_lengths); the drive its first guess.
-    3. Outliers, noise level and drive are found with the motion (solver.smoother), in windows that overlap.
+    3. Outliers, noise level and drive are found with the motion (solver.smoother), in windows that overlap; what the
+       mean is too smooth by comes back out of the residuals.
     4. Samples without an intact one for some frames are also predicted from the other joints (evidence.regression);
        the two predictions are averaged by their variances. The smoother is sure beside intact samples, the regression
        in the middle of a gap.
@@ -22,6 +23,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from scipy.linalg import solveh_banded
+from scipy.ndimage import median_filter
 
 from motionrecover import windows
 from motionrecover.evidence.bone_lengths import BoneLengths, estimate_bone_lengths, evidence, scale_about
@@ -43,6 +46,11 @@ LONG = 10
 """Frames. Over a longer run with fewer than `BODY` intact joints nothing says what the others did."""
 SHORT = 4
 """Frames. In gaps shorter than this the smoother predicts better than the other joints do."""
+STEADY = 9
+"""Frames of the running median of variances in gaps. The regression doubts single frames, in which another joint is
+thrown; the projection would move the joint in them alone."""
+SHARP = 0.75
+"""Of the energy of acceleration that the model expects, this share is shown: the rest lies in rare bursts."""
 NOISY, ALL = 0.2, 0.7
 """Noise above this many median bones that, with the outliers, is this share of all that varies leaves no motion to see.
 A walker whose every sample is displaced by 25 cm is still found to 6 cm, and stays below the second."""
@@ -94,17 +102,20 @@ def restore(clip: Intake, preset: Robust, given: bool, max_steps: int, seconds: 
         for span in spans:
             solution, origin = _solve(clip, span, stored, together[span], bones, scale, noise_max, max_steps, seconds)
             size, state = span.stop - span.start, solution.state
-            found = np.asarray(state.positions)[:size] + origin
-            pieces.append((found, np.asarray(state.covariance)[:size], np.asarray(state.intact)[:size]))
+            p = np.asarray(state.intact)[:size]
+            found = np.asarray(state.positions)[:size]
+            found = _sharpened(found, clip.merged[span] - origin, observed[span] & (p > INTACT), state) + origin
+            drive = np.asarray(state.activity)[:size, None] * np.diag(state.drive)
+            pieces.append((found, np.asarray(state.covariance)[:size], p, drive))
             solutions.append(solution)
-        positions, covariance, intact = (windows.blend(list(part), spans) for part in zip(*pieces, strict=True))
+        positions, covariance, intact, drive = (windows.blend(list(part), spans) for part in zip(*pieces, strict=True))
 
         intact = np.where(observed & ~_hopeless(data, solutions, spans, scale), intact, 0)
         kept = intact > INTACT
         if exact:
             positions = np.where(kept[..., None], clip.merged, positions)
         variance = np.maximum(np.einsum("tjj->tj", covariance), 0)
-        positions, combined = _with_regression(positions, variance, kept, clip.edges)
+        positions, combined = _with_regression(positions, variance, kept, drive, clip.edges)
         if exact:
             combined[kept] = 0
         ratio = np.sqrt(combined / np.maximum(variance, np.finfo(float).tiny))
@@ -235,7 +246,26 @@ def _solve(clip, span, stored, together, bones, scale, noise_max, max_steps, sec
     return run(solver, problem, max_steps, seconds), origin
 
 
-def _with_regression(positions, variance, kept, edges):
+def _sharpened(positions, data, intact, state):
+    """Positions of one window with as much of intact samples' residuals as their accelerations lack.
+
+    A posterior mean is smoother than any motion that it stands for: with 3 mm of noise at 120 Hz its accelerations are
+    0.55 of the truth's. Those of the model are known: E[w^2] = a Q. With this, on six clips, they are 0.9 and errors
+    are 1.88 mm instead of 1.83; a quarter of the noise in the smoother's last pass gives 0.86 and 1.99 mm.
+    """
+    residual = np.where(intact[..., None], data - positions, 0)
+    counted = intact[2:] & intact[1:-1] & intact[:-2]
+
+    def energy(x):
+        return np.sum(counted * np.sum(np.diff(x, 2, axis=0) ** 2, -1) / 3, 0)
+
+    expected = np.sum(counted * np.asarray(state.activity)[2 : len(data), None] * np.diag(state.drive), 0)
+    lacking = np.maximum(SHARP * expected - energy(positions), 0)
+    share = np.sqrt(lacking / np.maximum(energy(residual), np.finfo(float).tiny))
+    return positions + np.minimum(share, 1)[:, None] * residual
+
+
+def _with_regression(positions, variance, kept, drive, edges):
     """Positions and variances with the regression's predictions averaged into longer gaps."""
     gaps = run_lengths(~kept) >= SHORT
     if not gaps.any():
@@ -244,7 +274,30 @@ def _with_regression(positions, variance, kept, edges):
     predicted, doubt = predict_missing(positions, kept, distance, gaps)
     weight = np.where(gaps & np.isfinite(doubt), variance / np.maximum(variance + doubt, np.finfo(float).tiny), 0)
     both = variance * np.where(np.isfinite(doubt), doubt, 0) / np.maximum(variance + doubt, np.finfo(float).tiny)
-    return positions + weight[..., None] * (predicted - positions), np.where(weight > 0, both, variance)
+    positions, variance = positions + weight[..., None] * (predicted - positions), np.where(weight > 0, both, variance)
+    positions = np.where(gaps[..., None], _steady(positions, variance, drive), positions)
+    return positions, np.where(gaps, np.minimum(variance, median_filter(variance, (STEADY, 1))), variance)
+
+
+def _steady(positions, variance, drive):
+    """min_x sum |x_t - y_t|^2 / v_t + |x_t - 2 x_{t-1} + x_{t-2}|^2 / q_t for each joint.
+
+    The regression knows frames, not paths: without this, joints jump by up to 5 cm inside gaps of a noisy clip.
+    """
+    least = 1e-6 * drive[drive > 0].min(initial=np.inf)
+    weight = 1 / np.maximum(variance, least)
+    stiff = np.zeros_like(drive)
+    stiff[2:] = 1 / np.maximum(drive[2:], least)
+    out = positions.copy()
+    for joint in range(positions.shape[1]):
+        k = stiff[:, joint]
+        one, two = np.append(k[1:], 0), np.append(k[2:], [0, 0])
+        bands = np.zeros((3, len(k)))
+        bands[2] = weight[:, joint] + k + 4 * one + two
+        bands[1, 1:] = (-2 * k - 2 * one)[1:]
+        bands[0, 2:] = k[2:]
+        out[:, joint] = solveh_banded(bands, weight[:, joint, None] * positions[:, joint])
+    return out
 
 
 def _hopeless(data, solutions, spans, scale):

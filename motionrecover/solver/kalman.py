@@ -70,8 +70,9 @@ def smooth(
         inverse = jax.scipy.linalg.cho_solve((factor, True), eye)
         gain = p[:, :joints] @ inverse
         innovation = y - z[:joints]
-        kept = whole.at[:, :joints].add(-gain)
-        after = kept @ p @ kept.T + (gain * r) @ gain.T
+        # H picks columns, so thin products do.
+        once = p - gain @ p[:joints]
+        after = once - (once[:, :joints] - gain * r) @ gain.T
         x = z + gain @ innovation
         now, last = x[:joints], x[joints:]
         A, B, C = after[:joints, :joints], after[:joints, joints:], after[joints:, joints:]
@@ -82,16 +83,19 @@ def smooth(
     def backward(carry, row):
         g, G = carry
         z, p, innovation, inverse, gain = row
-        pull = inverse @ innovation
-        u, U = pull + gain.T @ g, inverse + gain.T @ G @ gain
+        u = inverse @ innovation + gain.T @ g
+        across = G @ gain
+        U = inverse + gain.T @ across
+        g = g.at[:joints].add(-u)
+        # Written out, this loses what long gaps know: beside exact samples G is 1e9 times larger than V^-1 in them.
         kept = whole.at[:, :joints].add(-gain)
-        g = g.at[:joints].add(-gain.T @ g - pull)
         G = (kept.T @ G @ kept).at[:joints, :joints].add(inverse)
         G = (G + G.T) / 2
         precision = jnp.diag(U)
+        now = p[:joints]
         smoothed = (
-            (z - p @ g)[:joints],
-            (p - p @ G @ p)[:joints, :joints],
+            z[:joints] - now @ g,
+            now[:, :joints] - now @ G @ now.T,
             u / precision[:, None],
             1 / precision,
             g[:joints],
@@ -108,3 +112,24 @@ def smooth(
     nothing = jnp.zeros_like(first), jnp.zeros_like(whole)
     _, smoothed = lax.scan(backward, nothing, filtered, reverse=True)
     return Smoothed(*smoothed)
+
+
+def smooth_each(samples: Array, noise: Array, drive: Array, activity: Array, start: Array) -> Smoothed:
+    """`smooth` for a diagonal Q, in which joints know nothing of each other."""
+
+    def alone(samples, noise, drive):
+        return smooth(samples[:, None], noise[:, None], drive[None, None], activity, start)
+
+    s = jax.vmap(alone, (1, 1, 0), 1)(samples, noise, jnp.diag(drive))
+
+    def matrix(of_joints):
+        return jax.vmap(jnp.diag)(of_joints[:, :, 0, 0])
+
+    return Smoothed(
+        mean=s.mean[:, :, 0],
+        covariance=matrix(s.covariance),
+        error=s.error[:, :, 0],
+        error_variance=s.error_variance[:, :, 0],
+        score=s.score[:, :, 0],
+        information=matrix(s.information),
+    )
