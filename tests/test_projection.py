@@ -19,7 +19,7 @@ def test_bones_get_their_length(name):
     truth = clip(skeleton, 5)
     moved = truth + 0.02 * np.random.default_rng(1).normal(size=truth.shape)
     lengths = lengths_of(skeleton, truth)
-    found = np.asarray(project(moved, spread(truth.shape[1], 5), lengths, skeleton.edges))
+    found = np.asarray(project(moved, spread(truth.shape[1], 5), lengths, skeleton.edges)[0])
     np.testing.assert_allclose(skeleton.bone_lengths_of(found), np.tile(lengths, (5, 1)), atol=1e-5)
 
 
@@ -28,7 +28,7 @@ def test_it_is_the_nearest_motion_in_the_measure_of_the_covariance():
     truth = clip(skeleton, 1)
     moved = truth + 0.01 * np.random.default_rng(1).normal(size=truth.shape)
     lengths, covariance = lengths_of(skeleton, truth), spread(5, 1)
-    found = np.asarray(project(moved, covariance, lengths, skeleton.edges))
+    found = np.asarray(project(moved, covariance, lengths, skeleton.edges)[0])
     precision = np.linalg.inv(covariance[0])
 
     def distance(x):
@@ -53,7 +53,17 @@ def test_certain_joints_stay():
     moved[:, 2] += 0.02
     covariance = np.zeros((3, 5, 5))
     covariance[:, 2, 2] = 1.0
-    found = np.asarray(project(moved, covariance, lengths_of(skeleton, truth), skeleton.edges))
+    found = np.asarray(project(moved, covariance, lengths_of(skeleton, truth), skeleton.edges)[0])
     np.testing.assert_array_equal(found[:, [0, 1, 3, 4]], moved[:, [0, 1, 3, 4]])
     np.testing.assert_allclose(found, truth, atol=0.05)
     np.testing.assert_allclose(skeleton.bone_lengths_of(found), skeleton.bone_lengths_of(truth), atol=1e-5)
+
+
+def test_with_slack_lengths_that_contradict_each_other_move_nothing_far():
+    rng = np.random.default_rng(5)
+    truth = np.tile(rng.normal(scale=0.1, size=(6, 3)) * [1, 1, 0.01], (4, 1, 1))
+    edges = tuple((i, j) for i in range(6) for j in range(i))
+    lengths = np.array([np.linalg.norm(truth[0, i] - truth[0, j]) for i, j in edges]) + 0.002 * rng.normal(size=15)
+    covariance = np.tile(1e-6 * np.eye(6), (4, 1, 1))
+    found = np.asarray(project(truth, covariance, lengths, edges, np.full(15, 4e-6))[0])
+    assert np.linalg.norm(found - truth, axis=-1).max() < 0.002

@@ -3,12 +3,13 @@
 Model: x follows the joint second-difference prior of `solver.kalman` with unknown drive covariance Q and activity a;
 a sample is intact or not,
 
-    y_ts = x_ts + e_ts,   e ~ N(0, s^2 / c_ts I) if intact,   e ~ N(0, o^2 I) if not (a share pi),
+    y_ts = x_ts + e_ts,   e ~ N(0, s_s^2 / c_ts I) if intact,   e ~ N(0, o^2 I) if not (a share pi),
 
-c its confidence, and two intact neighbours are at their bone's length (`solver.beliefs`). In the terms of STR (Yang et
-al. 2020, Eq. 7): E is carried by whole samples; Q is the low rank, learnt with the noise in sight instead of shrunk by
-a fixed amount; the second difference takes the wavelets' place. On 16 CMU clips with 3 mm of noise, wavelets shrunk by
-the noise level leave 2.5 mm (shift-invariant ones 2.2), this 1.9 mm, and no parameter of it changes with the rate.
+c its confidence, s_s the joint's noise level (a depth camera is fifty times surer of a spine than of a thumb), and
+two intact neighbours are at their bone's length (`solver.beliefs`). In the terms of STR (Yang et al. 2020, Eq. 7): E is
+carried by whole samples; Q is the low rank, learnt with the noise in sight instead of shrunk by a fixed amount; the
+second difference takes the wavelets' place. On 16 CMU clips with 3 mm of noise, wavelets shrunk by the noise level
+leave 2.5 mm (shift-invariant ones 2.2), this 1.9 mm, and no parameter of it changes with the rate.
 
 One step is one pass of expectation conditional maximisation (Meng & Rubin 1993):
 
@@ -25,8 +26,9 @@ One step is one pass of expectation conditional maximisation (Meng & Rubin 1993)
         every joint is seen to be driven by itself, with variance D_ss: that of Q, drawn to the body's mean where a
         joint was hardly seen. A straight line through two samples would make its drive 0 and its error bars nothing.
     log a += log( g^T Q g / 3 tr(G Q) ) / 2, both smoothed over `ACTIVITY` frames              while settling
-    pi, o^2, s^2 = shares and mean squares of the two kinds; s falls no faster than to `cooling` of itself while
-        annealing (graduated non-convexity, Blake & Zisserman 1987), and ends between `floor` and `noise_max`.
+    pi, o^2, s^2 = shares and mean squares of the two kinds, s^2 joint by joint with the geometric mean of all joints
+        counted as `USUAL` samples more; s falls no faster than to `cooling` of itself while annealing (graduated
+        non-convexity, Blake & Zisserman 1987), and ends between `floor` and `noise_max`.
 """
 
 from typing import ClassVar
@@ -56,20 +58,22 @@ SETTLE = 5
 """Steps after annealing that Q and a are given before standing still counts as convergence."""
 PRIOR = 2.0
 """Frames that the prior of Q counts for, nu. With S of them, errors in 3 mm of noise grow by 3 %."""
+USUAL = 20.0
+"""Samples that the usual noise counts for in a joint's."""
 CAP = 3.0
 """One frame counts in Q as if its drive were at most this many times what the model expects: an accepted outlier must
 not teach the model that such jumps are human."""
 
 
 class SmootherState(eqx.Module):
-    """What is believed about the clip after a step; `noise` and `outlier` are variances of one axis."""
+    """What is believed about the clip after a step; `noise` of a joint and `outlier` are variances of one axis."""
 
     positions: Float[Array, "frame joint 3"]
     covariance: Float[Array, "frame joint joint"]
     intact: Samples
     drive: Float[Array, "joint joint"]
     activity: Float[Array, " frame"]
-    noise: Scalar
+    noise: Float[Array, " joint"]
     outlier: Scalar
     outlier_share: Scalar
     step: Int[Array, ""]
@@ -81,7 +85,7 @@ class SmootherInfo(eqx.Module):
     change: Scalar
     """Root mean square of what the step moved intact samples, relative to the noise."""
     noise: Scalar
-    """s."""
+    """Root mean square of s."""
     outlier: Scalar
     """o."""
     outlier_share: Scalar
@@ -136,7 +140,7 @@ class Smoother(eqx.Module):
             intact=self._intact(problem, alone),
             drive=jnp.diag(self.drive),
             activity=jnp.ones(frames, y.dtype),
-            noise=hot,
+            noise=jnp.full(joints, hot),
             outlier=hot,
             outlier_share=self.outlier_share,
             step=jnp.array(0),
@@ -176,8 +180,7 @@ class Smoother(eqx.Module):
         doubt = jnp.where(observed, 1 - intact, 0)
         residual = jnp.sum((y - s.mean) ** 2, -1) / 3 + variance
         share = jnp.clip(doubt.sum() / jnp.maximum(observed.sum(), 1), 1e-3, 0.95)
-        found = jnp.sum(weight * confidence * residual) / jnp.maximum(weight.sum(), 1e-9)
-        found = jnp.minimum(found, self.noise_max**2)
+        found = jnp.minimum(_noise(weight, confidence * residual), self.noise_max**2)
         cooling = (self.COLD / self.HOT) ** (2 / self.anneal)
         least = (self.FLOOR * self.scale) ** 2
         slowly = jnp.where(settling, 0, cooling * state.noise)
@@ -193,10 +196,14 @@ class Smoother(eqx.Module):
             step=state.step + 1,
         )
         # Missing samples go on creeping with Q long after everything that was measured stands still.
-        moved = jnp.sum(weight[..., None] * (s.mean - state.positions) ** 2) / jnp.maximum(weight.sum(), 1e-9)
+        moved = jnp.sum((s.mean - state.positions) ** 2, -1) / new.noise
         info = SmootherInfo(
-            change=jnp.where(state.step >= self.anneal + SETTLE, jnp.sqrt(moved / new.noise), jnp.inf),
-            noise=jnp.sqrt(new.noise),
+            change=jnp.where(
+                state.step >= self.anneal + SETTLE,
+                jnp.sqrt(jnp.sum(weight * moved) / jnp.maximum(weight.sum(), 1e-9)),
+                jnp.inf,
+            ),
+            noise=jnp.sqrt(new.noise.mean()),
             outlier=jnp.sqrt(new.outlier),
             outlier_share=share,
         )
@@ -240,6 +247,14 @@ def _log_t(square, variance):
 def _log_normal(square, variance):
     """Log density of the normal in three dimensions, less 1.5 log(2 pi)."""
     return -1.5 * jnp.log(variance) - square / (2 * variance)
+
+
+def _noise(weight, square):
+    """The next s^2 (joint,), from squares (frame, joint) and how far each counts."""
+    count, total = weight.sum(0), jnp.sum(weight * square, 0)
+    log = jnp.log(jnp.maximum(total, 1e-30) / jnp.maximum(count, 1e-9))
+    usual = jnp.exp(jnp.sum(count * log) / jnp.maximum(count.sum(), 1e-9))
+    return (total + USUAL * usual) / (count + USUAL)
 
 
 def _drive(drive, activity, s, driven):

@@ -190,14 +190,14 @@ def test_evidence_tells_intact_bones_from_others(fraction, noise, given):
     assert nats[intact].min() > -10
     # A thrown end can leave a bone its length by chance; noise of 3 mm hides ten times as many such.
     assert (nats[~intact] > 0).mean() < (0.12 if noise else 0.01)
-    assert nats.min() == LEAST_GAIN
+    assert nats.min() >= LEAST_GAIN
 
 
 def test_evidence_is_the_ratio_of_two_densities():
     one = np.ones(1)
     bones = BoneLengths(0.3 * one, 0.01 * one, one, one > 0, np.array([[0.3, 0.3]]), np.array([[0.4, 0.1]]))
     x = np.linspace(0.2, 0.4, 5)[:, None]
-    density = [np.exp(-0.5 * ((x - m) / s) ** 2) / s for m, s in ((0.3, 0.015), (0.4, 0.1))]
+    density = (1 + ((x - 0.3) / 0.01) ** 2 / 4) ** -2.5 / 0.01, np.exp(-0.5 * ((x - 0.4) / 0.1) ** 2) / 0.1
     np.testing.assert_allclose(evidence(x, bones), np.log(density[0] / density[1]), rtol=1e-12)
 
 
