@@ -120,7 +120,13 @@ def restore(clip: Intake, preset: Robust, given: bool, max_steps: int, seconds: 
 
         intact = np.where(observed & ~_hopeless(data, solutions, spans, scale), intact, 0)
         kept = intact > INTACT
+        noise = np.median([solution.state.noise for solution in solutions])
+        exact = exact or noise < (2 * Smoother.FLOOR * scale) ** 2
         if exact:
+            residual = np.where(kept[..., None], clip.merged - positions, 0)
+            bridged = _steady(residual, np.where(kept, 0, np.inf), drive)
+            short = run_lengths(~kept) < SHORT
+            positions = np.where(short[..., None], positions + bridged, positions)
             positions = np.where(kept[..., None], clip.merged, positions)
         variance = np.maximum(np.einsum("tjj->tj", covariance), 0)
         positions, combined = _with_regression(positions, variance, kept, drive, clip.edges)
