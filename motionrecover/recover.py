@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from motionrecover import intake, robust, windows
+from motionrecover.evidence.bone_lengths import mirrored_bones
 from motionrecover.evidence.swaps import Swap, find_swaps, undo
 from motionrecover.presets import Preset, Robust, find
 from motionrecover.programs import bucket, run
@@ -94,6 +95,7 @@ def recover(
     max_gap: int | None = None,
     fill_unseen: bool = False,
     plant_feet: bool = False,
+    symmetric: bool = False,
     max_steps: int | None = None,
     dtype: Any = None,
     throw: bool = True,
@@ -113,7 +115,8 @@ def recover(
     Of `robust` only: `max_gap`: gaps of more frames than this stay NaN; left out, a gap is filled however long, and
     `uncertainty` says how far to trust it. `fill_unseen`: joints that no frame shows are placed by their bones instead
     of staying NaN. `plant_feet`: feet stay in place while they stand on the ground (y up, `fps` needed): it takes foot
-    slide away, and moves feet by some millimetres.
+    slide away, and moves feet by some millimetres. `symmetric`: estimated lengths of left and right bones are drawn
+    together as far as their intervals allow.
 
     Raises `ValueError`, in one sentence, for input that cannot be used: see `intake.take_in`.
     """
@@ -132,9 +135,11 @@ def recover(
     if isinstance(preset, Robust):
         if plant_feet and fps is None:
             raise ValueError("received plant_feet without fps: contacts are found by speed, give frames a second")
-        recovery = _robust(*arguments, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet)
-    elif max_gap is not None or fill_unseen or plant_feet:
-        raise ValueError(f"received max_gap, fill_unseen or plant_feet for {preset.name}: they are options of robust")
+        recovery = _robust(*arguments, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet, symmetric)
+    elif max_gap is not None or fill_unseen or plant_feet or symmetric:
+        raise ValueError(
+            f"received max_gap, fill_unseen, plant_feet or symmetric for {preset.name}: they are options of robust"
+        )
     else:
         recovery = _published(*arguments, preset, steps, dtype, fps)
     if throw and _useless(recovery.result):
@@ -145,7 +150,7 @@ def recover(
 
 
 def _robust(
-    D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet
+    D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet, paired
 ):
     """The answer of `robust`: see `motionrecover.robust`."""
     raw, trust = intake.check(D, skeleton, observed, confidence)
@@ -173,8 +178,15 @@ def _robust(
         fill_reach=None,
         metres=False,
     )
+    place = {edge: k for k, edge in enumerate(clip.edges)}
+    merged = {
+        bone: place.get(tuple(sorted(clip.groups[list(edge)].tolist())))
+        for bone, edge in zip(whole, body.edges, strict=True)
+    }
+    pairs = [(merged.get(a), merged.get(b)) for a, b in mirrored_bones(skeleton)] if paired else []
+    pairs = [(a, b) for a, b in pairs if a is not None and b is not None]
     seconds = {"compile": 0.0, "run": 0.0}
-    restored = robust.restore(clip, preset, bone_lengths is not None, steps, seconds)
+    restored = robust.restore(clip, preset, bone_lengths is not None, pairs, steps, seconds)
     verdict = robust.verdict(restored)
 
     positions, variance, intact = (
@@ -189,10 +201,9 @@ def _robust(
     if restored.exact:
         positions = np.where(trusted[..., None], data, positions)
     lengths, intervals = np.full(len(skeleton.edges), np.nan), np.full((len(skeleton.edges), 2), np.nan)
-    found = dict(zip(clip.edges, zip(restored.bones.length, restored.bones.interval, strict=True), strict=True))
-    for bone, edge in zip(whole, body.edges, strict=True):
-        pair = tuple(sorted(clip.groups[list(edge)].tolist()))
-        lengths[bone], intervals[bone] = found.get(pair, (0.0, (0.0, 0.0)))
+    for bone, k in merged.items():
+        lengths[bone] = 0 if k is None else restored.bones.length[k]
+        intervals[bone] = 0 if k is None else restored.bones.interval[k]
     if bone_lengths is not None:
         lengths = bone_lengths.copy()
     if fill_unseen:

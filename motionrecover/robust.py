@@ -18,6 +18,7 @@ do not matter. Everything is float64: variances of missing and of noiseless samp
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -30,7 +31,13 @@ from scipy.ndimage import median_filter
 
 from motionrecover import windows
 from motionrecover.evidence.bone_errors import drift, slack, smoothed_lengths
-from motionrecover.evidence.bone_lengths import BoneLengths, estimate_bone_lengths, evidence, scale_about
+from motionrecover.evidence.bone_lengths import (
+    BoneLengths,
+    estimate_bone_lengths,
+    evidence,
+    scale_about,
+    symmetric,
+)
 from motionrecover.evidence.contacts import find_contacts, foot_joints, plant
 from motionrecover.evidence.drive import estimate_drive
 from motionrecover.evidence.regression import bone_distance, predict_missing
@@ -90,12 +97,22 @@ class Restored:
     solutions: list[Solution]
 
 
-def restore(clip: Intake, preset: Robust, given: bool, max_steps: int, seconds: dict[str, float]) -> Restored:
-    """Steps 2 to 6, for a clip whose joints are all observed somewhere. `given`: the bone lengths are not estimates."""
+def restore(
+    clip: Intake,
+    preset: Robust,
+    given: bool,
+    mirrored: Sequence[tuple[int, int]],
+    max_steps: int,
+    seconds: dict[str, float],
+) -> Restored:
+    """Steps 2 to 6, for a clip whose joints are all observed somewhere.
+
+    `given`: the bone lengths are not estimates. `mirrored`: pairs of bones whose estimates are drawn together.
+    """
     observed = clip.merged_weights > 0
     data = np.where(observed[..., None], clip.merged, np.nan)
     lengths = bone_lengths(data, clip.edges)
-    bones = scale_about(lengths, clip.edge_lengths) if given else estimate_bone_lengths(lengths)
+    bones = scale_about(lengths, clip.edge_lengths) if given else symmetric(estimate_bone_lengths(lengths), mirrored)
     spread = bones.spread[bones.rigid] / np.sqrt(2)
     usual = float(np.quantile(spread, 0.25)) if len(spread) else np.inf
     scale = _scale(data, bones)
@@ -124,7 +141,7 @@ def restore(clip: Intake, preset: Robust, given: bool, max_steps: int, seconds: 
         exact = exact or noise < (2 * Smoother.FLOOR * scale) ** 2
         if exact:
             residual = np.where(kept[..., None], clip.merged - positions, 0)
-            bridged = _steady(residual, np.where(kept, 0, np.inf), drive)
+            bridged = _steady(residual, np.where(kept, 0, (FREE * scale) ** 2), drive)
             short = run_lengths(~kept) < SHORT
             positions = np.where(short[..., None], positions + bridged, positions)
             positions = np.where(kept[..., None], clip.merged, positions)
@@ -139,6 +156,7 @@ def restore(clip: Intake, preset: Robust, given: bool, max_steps: int, seconds: 
             bones = estimate_bone_lengths(measured)
             if not exact:
                 bones = smoothed_lengths(bones, positions, weights, clip.edges)
+            bones = symmetric(bones, mirrored)
         covariance = covariance * ratio[:, :, None] * ratio[:, None]
         held, varies = bones.rigid, np.zeros(len(bones.length))
         if len(clip.edges) >= data.shape[1]:

@@ -5,6 +5,7 @@ import pytest
 from helpers import SKELETONS, clip, hit, lengths_of
 
 from motionrecover import PRESETS, Skeleton, corrupt, metrics, recover, synthesize
+from motionrecover.evidence.bone_lengths import mirrored_bones
 from motionrecover.evidence.contacts import find_contacts, foot_joints
 from motionrecover.robust import Change
 
@@ -171,6 +172,19 @@ def test_general_graphs(name):
 
 
 def test_published_models_have_none_of_its_options():
-    for options in ({"max_gap": 3}, {"fill_unseen": True}, {"plant_feet": True, "fps": 30}):
+    for options in ({"max_gap": 3}, {"fill_unseen": True}, {"plant_feet": True, "fps": 30}, {"symmetric": True}):
         with pytest.raises(ValueError, match="options of robust"):
             recover(HIT, SKELETON, preset="str_yang2020", **options)
+
+
+def test_symmetric_draws_left_and_right_bones_together():
+    motion = synthesize(0.8, seed=4)
+    noisy, _ = corrupt.noise(motion.positions, 0.01, 2)
+    pairs = np.transpose(mirrored_bones(motion.skeleton))
+    apart, together = (
+        np.abs(np.subtract(*recover(noisy, motion.skeleton, symmetric=symmetric).bone_lengths[pairs])).mean()
+        for symmetric in (False, True)
+    )
+    assert together < 0.8 * apart
+    given = recover(noisy, motion.skeleton, symmetric=True, bone_lengths=lengths_of(motion.skeleton, motion.positions))
+    np.testing.assert_array_equal(given.bone_lengths, lengths_of(motion.skeleton, motion.positions))

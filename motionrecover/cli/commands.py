@@ -42,6 +42,9 @@ def recover(
     plant_feet: Annotated[
         bool, typer.Option("--plant-feet", help="Hold feet in place while they stand on the ground.")
     ] = False,
+    symmetric: Annotated[
+        bool, typer.Option("--symmetric", help="Draw estimated lengths of left and right bones together.")
+    ] = False,
     max_steps: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop after so many steps.")] = None,
     dtype: Annotated[Literal["float32", "float64"], typer.Option(help="Precision of the answer.")] = "float32",
     truth: Annotated[
@@ -84,6 +87,7 @@ def recover(
         max_gap=max_gap,
         fill_unseen=fill_unseen,
         plant_feet=plant_feet,
+        symmetric=symmetric,
         max_steps=max_steps,
         dtype=dtype,
         verbose=verbose,
