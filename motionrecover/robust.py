@@ -133,7 +133,14 @@ def restore(
             drive = np.asarray(state.activity)[:size, None] * np.diag(state.drive)
             pieces.append((found, np.asarray(state.covariance)[:size], np.asarray(state.intact)[:size], drive))
             solutions.append(solution)
-        positions, covariance, intact, drive = (windows.blend(list(part), spans) for part in zip(*pieces, strict=True))
+        # By precision, too: a gap that reaches beyond a window is known to the other.
+        found, covariances, probabilities, drives = map(list, zip(*pieces, strict=True))
+        least = (0.01 * Smoother.FLOOR * scale) ** 2
+        trust = [1 / np.maximum(np.einsum("tjj->tj", P), least) for P in covariances]
+        share = windows.shares(spans, trust)
+        positions, intact, drive = (windows.blend(x, spans, share) for x in (found, probabilities, drives))
+        parts = [np.sqrt(w[:, :, None] * w[:, None]) * P for w, P in zip(share, covariances, strict=True)]
+        covariance = windows.blend(parts, spans, [np.ones((len(P), 1)) for P in parts])
 
         intact = np.where(observed & ~_hopeless(data, solutions, spans, scale), intact, 0)
         kept = intact > INTACT

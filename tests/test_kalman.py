@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from helpers import TOLERANCE
 
-from motionrecover.solver.kalman import smooth
+from motionrecover.solver.kalman import SPEED, smooth
 
 START = 3.0
 
@@ -19,15 +19,18 @@ def case(frames, joints, seed=0):
     return samples, noise, drive, np.exp(rng.normal(size=frames))
 
 
-def posterior(samples, noise, drive, activity):
+def posterior(samples, noise, drive, activity, start=START):
     """Mean (frame, joint, 3) and covariance (frame joint, frame joint) by solving for all frames at once."""
     frames, joints, _ = samples.shape
     size = (frames + 1) * joints  # one frame before the first
     precision, linear = np.zeros((size, size)), np.zeros((size, 3))
     part = [slice(t * joints, (t + 1) * joints) for t in range(frames + 1)]
-    for first in (0, 1):  # z = (x_0, x_-1) before the first sample
-        precision[part[first], part[first]] += np.eye(joints) / START
-        linear[part[first]] += samples[0] / START
+    # z = (x_0, x_-1) before the first sample
+    precision[part[1], part[1]] += np.eye(joints) / start
+    linear[part[1]] += samples[0] / start
+    step = np.zeros((joints, size))
+    step[:, part[0]], step[:, part[1]] = -np.eye(joints), np.eye(joints)
+    precision += step.T @ step / (start * SPEED**2)
     for t in range(2, frames + 1):
         difference = np.zeros((joints, size))
         difference[:, part[t]], difference[:, part[t - 2]] = np.eye(joints), np.eye(joints)
@@ -49,6 +52,17 @@ def test_smooth_is_the_posterior(frames, joints):
     blocks = covariance.reshape(frames, joints, frames, joints)
     same = np.stack([blocks[t, :, t] for t in range(frames)])
     np.testing.assert_allclose(found.covariance, same, atol=TOLERANCE["posterior"])
+
+
+def test_a_joint_unseen_for_long_at_the_start_keeps_its_variance():
+    samples, _, drive, activity = case(110, 3)
+    noise = np.full((110, 3), 2.6e-8)
+    noise[:100, 1] = 1e10
+    found = jax.jit(smooth)(samples, noise, 1e-5 * drive, activity, 0.16)
+    _, covariance = posterior(samples, noise, 1e-5 * drive, activity, 0.16)
+    variance = np.einsum("tjj->tj", found.covariance)
+    assert variance.min() > 0
+    np.testing.assert_allclose(variance, np.diag(covariance).reshape(110, 3), rtol=1e-3, atol=1e-6)
 
 
 def test_error_is_what_is_left_without_the_sample():
@@ -80,12 +94,12 @@ def test_score_is_the_slope_of_the_likelihood_in_the_drive():
         frames, joints = noise.shape
         eye = np.eye(joints)
         rows = [np.concatenate([eye, 0 * eye, *[0 * eye] * (frames - 1)], 1)]  # x_0 of (x_0, x_-1, w_1, ...)
-        before = np.concatenate([0 * eye, eye, *[0 * eye] * (frames - 1)], 1)
+        before = np.concatenate([eye, eye, *[0 * eye] * (frames - 1)], 1)
         for t in range(1, frames):
             drive_row = np.concatenate([eye * (k == t + 1) for k in range(frames + 1)], 1)
             rows.append(2 * rows[-1] - before + drive_row)
             before = rows[-2]
-        cause = np.kron(np.diag([START, START] + [0] * (frames - 1)), eye)
+        cause = np.kron(np.diag([START, START * SPEED**2] + [0] * (frames - 1)), eye)
         for t in range(1, frames):
             part = slice((t + 1) * joints, (t + 2) * joints)
             cause[part, part] = a[t] * q

@@ -98,6 +98,10 @@ def test_windows_leave_no_seams():
     jump = np.linalg.norm(np.diff(parts.positions, 2, axis=0), axis=-1).mean(1)
     assert jump.max() < 3 * np.linalg.norm(np.diff(motion.positions, 2, axis=0), axis=-1).mean(1).max()
     assert error(parts, motion.positions).mean() < 0.006
+    # Between two windows, and with gaps that reach over their ends, at least as good as alone.
+    middle = slice(390, 590)
+    alone = recover(noisy[middle], motion.skeleton)
+    assert error(parts, motion.positions)[middle].mean() < 1.05 * error(alone, motion.positions[middle]).mean()
 
 
 def test_symmetries(found):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from benchmarks.suite import __main__ as suite
-from benchmarks.suite import baseline, clips, measure, peers_time, rows, table
+from benchmarks.suite import baseline, clips, measure, page, peers_time, rows, table
 from benchmarks.suite.methods import METHODS, PEERS, Method
 from motionrecover import Motion, Skeleton, corrupt
 from motionrecover.io import load
@@ -253,3 +253,7 @@ def test_command(tmp_path, monkeypatch, capsys):
     results = json.loads((tmp_path / "results.json").read_text())
     assert results["rows"]["clean cmu21 30 Hz"]["methods"]["nothing"]["scores"]["all"]["mean"] == 0
     assert "nothing" in capsys.readouterr().out
+
+
+def test_the_page_is_what_the_committed_results_say():
+    assert page.render() == page.PAGE.read_text(encoding="utf-8")

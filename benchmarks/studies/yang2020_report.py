@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.markdown import table
 from benchmarks.studies.yang2020_figures import draw
 from motionrecover.io import write_beside
 
@@ -95,12 +96,6 @@ def render(results: dict, page: str) -> str:
     return re.sub(r"<!-- (\w+) -->\n.*?<!-- end -->", block, page, flags=re.DOTALL)
 
 
-def _table(head: Iterable[str], rows: Iterable[Iterable[str]]) -> str:
-    head = list(head)
-    lines = [head, ["---"] + ["---:"] * (len(head) - 1), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
 def _rates(results: dict) -> list[str]:
     return [f"{rate} %" for rate in results["table2"]["rates"]]
 
@@ -132,7 +127,7 @@ def _table2(results: dict, subject: str) -> str:
         if preset == "str_yang2020":
             lines += [[f"... {label}", *_mm(_mean(rows, method))] for method, label in SPANS.items()]
     lines += [[label, *_mm(_mean(rows, peer))] for peer, label in PEERS.items()]
-    return _table([f"subject {subject}, {len(rows)} clips ({len(clean)} without glitches)", *_rates(results)], lines)
+    return table([f"subject {subject}, {len(rows)} clips ({len(clean)} without glitches)", *_rates(results)], lines)
 
 
 def _entries(results: dict) -> str:
@@ -140,7 +135,7 @@ def _entries(results: dict) -> str:
     lines = [["**Yang 2020, printed**", *(f"**{value}**" for value in TABLE2["09"]["str_yang2020"])]]
     lines += [[f"`{preset}`", *_mm(_mean(rows, preset))] for preset in NAMES]
     lines.append([PEERS["nothing"], *_mm(_mean(rows, "nothing"))])
-    return _table(["subject 09, single coordinates", *_rates(results)], lines)
+    return table(["subject 09, single coordinates", *_rates(results)], lines)
 
 
 def _variants(results: dict) -> str:
@@ -158,7 +153,7 @@ def _variants(results: dict) -> str:
             line += [""] * (count + 1)
         lines.append(line)
     rates = [f"{rate} %" for rate in study["rates"]]
-    return _table(["", *rates, *(f"energy {rate}" for rate in rates), "steps"], lines)
+    return table(["", *rates, *(f"energy {rate}" for rate in rates), "steps"], lines)
 
 
 def _length(results: dict) -> str:
@@ -172,7 +167,7 @@ def _length(results: dict) -> str:
         for row in study["rows"]
     ]
     rates = [f"{rate} %" for rate in study["rates"]]
-    return _table(["solved at once", *rates, *(f"energy {rate}" for rate in rates)], lines)
+    return table(["solved at once", *rates, *(f"energy {rate}" for rate in rates)], lines)
 
 
 def _worse(results: dict) -> str:
@@ -189,7 +184,7 @@ def _worse(results: dict) -> str:
         for n in (5, 15, 31)
     ]
     lines.append(["`str_yang2020` worse than the oracle spline", *count("str_yang2020", "oracle spline")])
-    return _table([f"of {len(rows)} clips", *_rates(results)], lines)
+    return table([f"of {len(rows)} clips", *_rates(results)], lines)
 
 
 def _table5(results: dict) -> str:
@@ -204,7 +199,7 @@ def _table5(results: dict) -> str:
             "nothing": PEERS["nothing"],
         }.items()
     ]
-    return _table(["05_01", *_rates(results)], lines)
+    return table(["05_01", *_rates(results)], lines)
 
 
 def _table3(results: dict) -> str:
@@ -221,7 +216,7 @@ def _table3(results: dict) -> str:
         lines += [
             [PEERS[peer], *(f"{x:.3f}" for x in readings["metres"]["aje"][peer])] for peer in ("median 5", "nothing")
         ]
-        parts.append(_table([clip, *_rates(results)], lines))
+        parts.append(table([clip, *_rates(results)], lines))
     return "\n\n".join(parts)
 
 
@@ -254,7 +249,7 @@ def _table6(results: dict) -> str:
         "compile s",
         "reference s",
     ]
-    return _table([*head, "STR until done s (steps)", "printed Wang s", "printed Li s", "printed Yang s"], lines)
+    return table([*head, "STR until done s (steps)", "printed Wang s", "printed Li s", "printed Yang s"], lines)
 
 
 def _summary(results: dict) -> str:
@@ -307,7 +302,7 @@ def _readme(results: dict) -> str:
     lines += [[f"`{preset}`", *_mm(_mean(rows, preset))] for preset in NAMES]
     lines += [[PEERS[f"median {n}"], *_mm(_mean(rows, f"median {n}"))] for n in (5, 15)]
     lines.append([PEERS["oracle spline"], *_mm(_mean(rows, "oracle spline"))])
-    return _table([f"{len(rows)} clips", *_rates(results)], lines)
+    return table([f"{len(rows)} clips", *_rates(results)], lines)
 
 
 BLOCKS = {

@@ -122,7 +122,7 @@ class Smoother(eqx.Module):
     """Smallest s. Below, variances of intact and missing samples are too far apart for float64."""
     GROSS: ClassVar[float] = 0.16
     """Smallest o: what is off by less is noise. Without it, clean clips grow outliers of a millimetre."""
-    FREE: ClassVar[float] = 8.0
+    FREE: ClassVar[float] = 2.0
     """Standard deviation of where the body is before its first frame."""
     MISSING: ClassVar[float] = 1e5
     """Standard deviation of a missing sample and of padding: they say nothing, to the last digits."""

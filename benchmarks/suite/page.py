@@ -1,0 +1,116 @@
+"""`docs/robust.md`, made of the committed results of the suite and of the studies of `robust`.
+
+python -m benchmarks.suite.page
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from benchmarks.markdown import table
+from motionrecover.io.atomic import write_beside
+
+HERE = Path(__file__).parent
+STUDIES = HERE.parent / "studies" / "results"
+PAGE = HERE.parents[1] / "docs" / "robust.md"
+TITLE = """# What `robust` does to recordings, measured
+
+Made by `python -m benchmarks.suite.page` from committed results. One command each measures them anew:
+`python -m benchmarks.suite` and `python -m benchmarks.studies.{kinect,markers,robust}`. Errors are in mm."""
+SUITE = """{clips} clips a row, spread evenly over subjects, at most 300 frames from the middle of each, {seeds} seeds. The
+error is over missing samples where the protocol makes gaps and over all samples elsewhere, +- its standard error over
+clips. The best peer has the least error of a cubic spline, running medians of 5, 15 and 31 frames, Hampel filter with
+Butterworth, a Kalman smoother, rigid donors, PCA, soft-impute and robust PCA of poses and of motion. Accelerations are
+relative to the truth's: denoised motion is calmer than a recording, whose own jitter cannot be told from noise."""
+KINECT = """Tracked samples count with confidence 1, inferred ones with 0.3. Bones: the largest standard deviation of a
+bone's length over its mean. Jitter: second differences of joints that barely move, before over after. Hidden: distance
+from tracked samples that were hidden, scattered and in runs of 15 frames. At scattered ones a spline is better: it
+follows the sensor's drift, which constant bones do not."""
+
+
+def render() -> str:
+    """The page."""
+    suite, kinect, markers, parts = (
+        json.loads(path.read_text(encoding="utf-8"))
+        for path in (HERE / "results.json", *(STUDIES / f"{name}.json" for name in ("kinect", "markers", "robust")))
+    )
+    parts_note = (
+        f"{parts['clips']} clips a row, one seed; `benchmarks/studies/robust.py` lists what was dropped altogether."
+    )
+    blocks = [
+        TITLE,
+        "## Corrupted CMU recordings",
+        SUITE.format(**suite["settings"]),
+        _suite(suite),
+        "## Kinect recordings",
+        KINECT,
+        _kinect(kinect),
+        "## Optical markers",
+        f"{markers['frames']} frames a take, the graph from `infer_graph`; mean distance from samples that were hidden.",
+        _markers(markers["rows"]),
+        "## What its parts are worth",
+        parts_note,
+        _parts(parts["errors"]),
+    ]
+    return "\n\n".join(blocks) + "\n"
+
+
+def _suite(results: dict) -> str:
+    rows = []
+    for name, row in results["rows"].items():
+        headline = row["headline"]
+        scores = {method: summary["scores"] for method, summary in row["methods"].items()}
+        peers = {
+            method: found[headline]["mean"]
+            for method, found in scores.items()
+            if method not in results["ours"] and method != "nothing" and found[headline]["mean"] is not None
+        }
+        best = min(peers, key=peers.__getitem__)
+        ours = scores["robust"]
+        error = f"{_number(ours[headline]['mean'])} +- {_number(ours[headline]['error'])}"
+        others = [_number(ours[score]["mean"]) for score in ("all", "bone", "acceleration")]
+        rows.append([name, error, *others, f"{_number(peers[best])} {best}"])
+    return table(["protocol, skeleton, rate", "`robust`", "all samples", "bones", "accelerations", "best peer"], rows)
+
+
+def _kinect(results: dict) -> str:
+    rows = []
+    for name, row in results.items():
+        bones, still = row["bones"], row["still"]
+        hidden = [
+            f"{_number(row[kind][f'{who} mm'])}" for kind in ("scattered", "runs") for who in ("robust", "spline")
+        ]
+        bones = f"{100 * bones['before']:.0f} to {100 * bones['after']:.2g} %"
+        rows.append([name, bones, f"{still['ratio']:.1f}", str(row["lag"]), *hidden])
+    head = ["recording", "bones", "jitter", "lag, frames", "scattered: `robust`", "spline", "runs: `robust`", "spline"]
+    return table(head, rows)
+
+
+def _markers(rows: dict) -> str:
+    names = ("linear", "spline", "pca", "rigid donors", "robust")
+    lines = [
+        [row, take, *(_number(found[name]) for name in names)]
+        for row, takes in rows.items()
+        for take, found in takes.items()
+    ]
+    return table(["hidden", "take", *names], lines)
+
+
+def _parts(errors: dict) -> str:
+    rows = next(iter(errors.values()))
+    return table(["", *rows], [[name, *map(_number, found.values())] for name, found in errors.items()])
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}" if value < 100 else f"{value:.0f}"
+
+
+def main() -> None:
+    """Write the page."""
+    with write_beside(PAGE, overwrite=True) as temporary:
+        temporary.write_text(render(), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
