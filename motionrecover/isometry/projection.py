@@ -31,6 +31,9 @@ def project(
 
         diag(P) - P B^T u ((B P B^T) o (u u^T) + V)^-1 u^T B P
 
+    A step that takes a frame farther from its lengths is tried again at a quarter: where an outlier was taken for
+    certain, a frame may have no positions with these lengths.
+
     A joint of no variance stays; where both ends of a bone are certain, the bone stays as it is. Works on any graph;
     where that has more bones than freedom, as among markers of one segment, no positions may have all the lengths, and
     without slack the answer is anywhere: markers of a segment fly 20 mm off.
@@ -52,13 +55,23 @@ def project(
         unit = bones / jnp.maximum(length, 1e-12)[..., None]
         return length, unit, between * jnp.einsum("thc,tgc->thg", unit, unit) + jnp.diag(slack) + ridge
 
+    weight = 1 / (slack + size[:, None])
+
+    def off(x):
+        return jnp.sum(weight * (bone_lengths - jnp.linalg.norm(x[:, i] - x[:, j], axis=-1)) ** 2, -1)
+
     def step(_, state):
-        x, multipliers = state
+        x, multipliers, pace = state
         length, unit, matrix = linear(x)
         z = jnp.linalg.solve(matrix, (bone_lengths - length - slack * multipliers)[..., None])[..., 0]
-        return x + jnp.einsum("tsh,thc->tsc", spread, unit * z[..., None]), multipliers + z
+        z = pace[:, None] * z
+        there = x + jnp.einsum("tsh,thc->tsc", spread, unit * z[..., None])
+        closer = off(there) <= off(x)
+        x = jnp.where(closer[:, None, None], there, x)
+        return x, jnp.where(closer[:, None], multipliers + z, multipliers), jnp.where(closer, 1, pace / 4)
 
-    moved, _ = lax.fori_loop(0, STEPS, step, (positions, jnp.zeros_like(size[:, None] * slack)))
+    still = jnp.zeros_like(weight), jnp.ones_like(size)
+    moved, _, _ = lax.fori_loop(0, STEPS, step, (positions, *still))
     _, unit, matrix = linear(moved)
     known = jnp.einsum("tsh,tgh,tsg,thc,tgc->ts", spread, jnp.linalg.inv(matrix), spread, unit, unit) / 3
     return moved, jnp.maximum(variance - known, 0)
