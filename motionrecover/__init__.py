@@ -3,6 +3,7 @@
 from importlib.metadata import version
 
 from motionrecover import corrupt, metrics
+from motionrecover.evidence.rigid_graph import infer_graph
 from motionrecover.io import MotionFormatError, MotionFormatWarning, load, save
 from motionrecover.motion import Motion
 from motionrecover.presets import PRESETS, Preset
@@ -24,6 +25,7 @@ __all__ = [
     "Result",
     "Skeleton",
     "corrupt",
+    "infer_graph",
     "load",
     "metrics",
     "recover",

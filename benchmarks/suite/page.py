@@ -18,11 +18,11 @@ TITLE = """# What `robust` does to recordings, measured
 
 Made by `python -m benchmarks.suite.page` from committed results. One command each measures them anew:
 `python -m benchmarks.suite` and `python -m benchmarks.studies.{kinect,markers,robust}`. Errors are in mm."""
-SUITE = """{clips} clips a row, spread evenly over subjects, at most 300 frames from the middle of each, {seeds} seeds. The
-error is over missing samples where the protocol makes gaps and over all samples elsewhere, +- its standard error over
-clips. The best peer has the least error of a cubic spline, running medians of 5, 15 and 31 frames, Hampel filter with
-Butterworth, a Kalman smoother, rigid donors, PCA, soft-impute and robust PCA of poses and of motion. Accelerations are
-relative to the truth's: denoised motion is calmer than a recording, whose own jitter cannot be told from noise."""
+SUITE = """{clips} clips a row, spread evenly over subjects, at most 300 frames from the middle of each, {seeds} seeds.
+The error is over missing samples where the protocol makes gaps and over all samples elsewhere, +- its standard error
+over clips. The best peer has the least error of a cubic spline, running medians of 5, 15 and 31 frames, Hampel filter
+with Butterworth, a Kalman smoother, rigid donors, PCA, soft-impute and robust PCA of poses and of motion. Accelerations
+are relative to the truth's: denoised motion is calmer than a recording, whose own jitter cannot be told from noise."""
 KINECT = """Tracked samples count with confidence 1, inferred ones with 0.3. Bones: the largest standard deviation of a
 bone's length over its mean. Jitter: second differences of joints that barely move, before over after. Hidden: distance
 from tracked samples that were hidden, scattered and in runs of 15 frames. At scattered ones a spline is better: it
@@ -47,7 +47,7 @@ def render() -> str:
         KINECT,
         _kinect(kinect),
         "## Optical markers",
-        f"{markers['frames']} frames a take, the graph from `infer_graph`; mean distance from samples that were hidden.",
+        f"{markers['frames']} frames a take, the graph from `infer_graph`; mean distance from hidden samples.",
         _markers(markers["rows"]),
         "## What its parts are worth",
         parts_note,
