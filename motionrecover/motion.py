@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from motionrecover.rig import Rig
 from motionrecover.skeleton import Skeleton
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
@@ -23,7 +24,8 @@ class Motion:
     True where a joint was measured; left out, it is True where the position is finite. `confidence` (frame, joint)
     in [0, 1] says how far a measurement is to be trusted, NaN or None where the source does not say. `fps` is frames a
     second. `unit` (metres in one unit) and `up` (x, y or z) describe the file that the clip came from. `history`
-    tells what was read, assumed and done, in order.
+    tells what was read, assumed and done, in order. `rig` is the hierarchy with channels of the BVH file that the clip
+    came from, on which it can be written again; it may have more joints than the clip.
 
     Raises `ValueError` for misshapen or infinite positions, unusable masks and an unusable frame rate.
     """
@@ -36,6 +38,7 @@ class Motion:
     unit: float = 1.0
     up: str = "y"
     history: tuple[str, ...] = ()
+    rig: Rig | None = None
 
     def __post_init__(self):
         positions = np.asarray(self.positions)

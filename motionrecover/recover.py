@@ -196,6 +196,11 @@ def _robust(
     positions[:, kept] = restored.positions[:, clip.groups]
     variance[:, kept] = restored.variance[:, clip.groups]
     intact[:, kept] = restored.intact[:, clip.groups]
+    # Of joints that coincide the solver sees one: it can be intact where another is thrown.
+    shared = np.zeros(len(seen), bool)
+    shared[kept] = np.bincount(clip.groups)[clip.groups] > 1
+    away = np.linalg.norm(np.nan_to_num(data - positions), axis=-1) > 6 * restored.noise
+    intact[:, shared] *= ~away[:, shared]
     there = weights > 0
     trusted = there & (intact > robust.INTACT)
     if restored.exact:

@@ -91,6 +91,8 @@ class Restored:
     """Of the error of one axis."""
     intact: np.ndarray
     """Probability that a sample is; 0 where missing and where all that is measured is noise."""
+    noise: float
+    """Standard deviation of a measured sample on one axis."""
     exact: bool
     """Whether the clip has no noise to remove: intact samples are then as they came."""
     bones: BoneLengths
@@ -184,6 +186,7 @@ def restore(
         positions=np.where((lost & ~kept)[..., None], np.nan, positions),
         variance=np.where(kept, left, np.where(lost, np.inf, combined)),
         intact=intact,
+        noise=max(float(np.sqrt(noise)), Smoother.FLOOR * scale),
         exact=exact,
         bones=bones,
         solutions=solutions,

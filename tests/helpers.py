@@ -23,6 +23,9 @@ TOLERANCE = {
     "equivariance": 1e-6,  # metres, float64, between runs that differ by a symmetry of the model
     "posterior": 1e-8,  # recursive smoothing against solving for all frames at once
     "float32": 2e-4,  # metres, float32 against float64 after the same number of steps
+    "inverse kinematics": 2e-5,  # metres a coordinate: its steps end 1e-5 from the target
+    "weak direction": 5e-4,  # metres: positions that hardly show a turn are traded for keeping it
+    "written digits": 5e-6,  # metres: BVH with six decimals, which add up along a chain
     "reference": 1e-7,  # metres, against the NumPy/SciPy reference after the same number of steps, float64
 }
 

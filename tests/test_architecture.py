@@ -8,7 +8,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "motionrecover"
 
 LAYERS = [
-    {"motion", "skeleton", "runs", "prox", "wavelets", "metrics", "corrupt", "synthesize"},
+    {"motion", "skeleton", "rig", "runs", "prox", "wavelets", "metrics", "corrupt", "synthesize"},
     {"solver", "isometry"},
     {"evidence"},
     {"presets", "programs", "intake", "windows", "io"},

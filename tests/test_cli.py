@@ -134,7 +134,7 @@ def test_what_cannot_be_written_is_refused_before_the_work(folder, refuses, monk
         raise AssertionError("worked")
 
     monkeypatch.setattr(commands, "load", work)
-    refuses("recover", "corrupted.csv", "-o", "out.bvh", words=["out.bvh", ".csv or .npz"])
+    refuses("recover", "corrupted.csv", "-o", "out.amc", words=["out.amc", ".csv or .npz"])
     refuses("recover", "corrupted.csv", "-o", "out", words=["without an ending"])
     refuses("recover", "corrupted.csv", "-o", "no/out.npz", words=["no folder"])
     refuses("recover", "corrupted.csv", "-o", "out.npz", "--figure", "out.jpg", words=[".png"])
@@ -333,6 +333,15 @@ def test_convert_there_and_back_is_exact(folder, run):
     np.testing.assert_array_equal(first.positions, last.positions)
     assert first.skeleton == last.skeleton
     assert Path("b.csv").read_text().count("joint,x,y,z") == 1
+
+
+def test_any_tree_is_converted_to_bvh_and_graphs_are_refused(folder, run, refuses):
+    assert run("convert", "truth.npz", "truth.bvh", "-q") == (0, "", "")
+    again = load("truth.bvh", unit="m", up="y").select(TRUTH.names)
+    np.testing.assert_allclose(again.positions, TRUTH.positions, atol=2e-5)
+    save(Motion(np.zeros((2, 3, 3)), Skeleton("abc", [(0, 1), (1, 2), (0, 2)]), 30), "graph.npz")
+    for arguments in (("convert", "graph.npz", "graph.bvh"), ("recover", "graph.npz", "-o", "graph.bvh")):
+        refuses(*arguments, words=["BVH holds one tree"])
 
 
 def test_assumptions_are_notes_on_stderr_once(folder, run):

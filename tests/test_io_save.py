@@ -19,7 +19,7 @@ MOTION = Motion(np.arange(12.0).reshape(2, 2, 3), Skeleton(["hip", "knee"], [("h
 def test_formats_tell_what_they_read_and_write():
     table = {known.name: (known.suffixes, known.reads, known.writes) for known in formats()}
     assert table == {
-        "bvh": ((".bvh",), True, False),
+        "bvh": ((".bvh",), True, True),
         "amc": ((".amc", ".asf"), True, False),
         "csv": ((".csv",), True, True),
         "csv-long": ((), True, True),

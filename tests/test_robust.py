@@ -37,6 +37,22 @@ def test_displaced_samples_are_repaired_and_the_others_untouched(found):
     assert ((found.bone_intervals[:, 0] <= LENGTHS) & (found.bone_intervals[:, 1] >= LENGTHS)).all()
 
 
+def test_a_joint_thrown_among_coinciding_ones_is_repaired_alone():
+    """Bones of no length, as in the BVH files of CMU: any of the doubles may be thrown, and two to one side."""
+    wrist = SKELETON.names.index("lwrist")
+    doubles = [len(SKELETON.names) + k for k in range(3)]
+    skeleton = Skeleton([*SKELETON.names, "a", "b", "c"], [*SKELETON.edges, *((wrist, double) for double in doubles)])
+    truth = np.concatenate([TRUTH, TRUTH[:, [wrist] * 3]], 1)
+    data = hit(truth, 0.2)
+    found = recover(data, skeleton, dtype=np.float64)
+    displaced = np.any(data != truth, -1)
+    few = displaced[:, [wrist, *doubles]].sum(1) < 3
+    assert error(found, truth)[few][:, [wrist, *doubles]].max() < 2e-3
+    assert (found.changed[displaced] == Change.REPAIRED).mean() > 0.99
+    assert (found.changed[few][:, doubles][~displaced[few][:, doubles]] == Change.UNTOUCHED).all()
+    assert found.weights[displaced].mean() < 0.01
+
+
 def test_clean_clips_come_back_as_they_were():
     found = recover(TRUTH, SKELETON, dtype=np.float64)
     np.testing.assert_array_equal(found.positions, TRUTH)

@@ -20,7 +20,7 @@ PICTURES = (".png", ".pdf", ".svg")
 _READING = "How to read (goes before what the file says)"
 
 Input = Annotated[Path, typer.Argument(metavar="IN", help="Motion file: BVH, AMC with its ASF beside it, CSV or NPZ.")]
-Output = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="File to write: .npz or .csv.")]
+Output = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="File to write: .npz, .csv or .bvh.")]
 Format = Annotated[
     str | None,
     typer.Option("--format", metavar="NAME", help="Format, if the ending does not tell it.", rich_help_panel=_READING),

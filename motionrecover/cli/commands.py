@@ -17,6 +17,7 @@ from motionrecover.figures import recovery_figure
 from motionrecover.intake import fill
 from motionrecover.io import load, save, write_beside
 from motionrecover.io.border import counted
+from motionrecover.io.bvh_out import posed, rig_of
 from motionrecover.motion import Motion
 from motionrecover.recover import Recovery
 from motionrecover.recover import recover as run_recovery
@@ -30,9 +31,12 @@ def recover(
     output: given.Output,
     preset: Annotated[str, typer.Option(metavar="NAME", help=f"Model: {', '.join(presets.PRESETS)}.")] = _PRESET,
     bone_lengths: Annotated[
-        Literal["estimate", "rest"],
-        typer.Option(help="Bone lengths from the clip itself, or from the rest pose in the file."),
-    ] = "estimate",
+        Literal["auto", "estimate", "rest"],
+        typer.Option(
+            help="Bone lengths from the clip itself, or from the rest pose in the file. auto: from the rest pose of a "
+            "BVH whose frames keep it, else from the clip."
+        ),
+    ] = "auto",
     max_gap: Annotated[
         int | None, typer.Option(min=0, metavar="FRAMES", help="Leave longer gaps missing instead of filling them.")
     ] = None,
@@ -64,7 +68,8 @@ def recover(
 ) -> None:
     """Recover the motion behind a corrupted recording: spikes and jitter removed, missing joints filled in.
 
-    The answer has the frames and joints of IN, in metres with y up. --truth is read with the same options as IN.
+    The answer has the frames and joints of IN, in metres with y up; from BVH to BVH it has the hierarchy, channels,
+    unit and axes of IN. --truth is read with the same options as IN.
     """
     _hush(quiet)
     presets.find(preset)
@@ -76,6 +81,11 @@ def recover(
     if not clip.observed.any():
         raise ValueError(f"{path} holds no measured sample: there is nothing to recover from")
     reference = None if truth is None else given.matched(load(truth, **asked), clip, truth, path)[0]
+    as_rotations = output.suffix.lower() == ".bvh"
+    if as_rotations:
+        rig_of(clip)  # refuses what BVH cannot hold before the work
+    if bone_lengths == "auto":
+        bone_lengths = "rest" if facts.keeps_rest(clip) else "estimate"
     lengths = clip.skeleton.rest_lengths if bone_lengths == "rest" else None
     if bone_lengths == "rest" and lengths is None:
         raise ValueError(f"{path} brings no rest pose to take bone lengths from: use --bone-lengths estimate")
@@ -92,7 +102,8 @@ def recover(
         dtype=dtype,
         verbose=verbose,
     )
-    save(recovered, output, overwrite=overwrite)
+    written = posed(recovered) if as_rotations else recovered
+    save(written, output, overwrite=overwrite)
     if figure is not None:
         _draw(reference, clip, recovered, figure, overwrite)
 
@@ -108,6 +119,7 @@ def recover(
         **facts.verdict(recovery),
         **facts.measures(clips, clip.skeleton, recovery.bone_lengths, reference),
         **facts.changes(recovery),
+        "rotations_mm": facts.apart(written, recovered) if as_rotations else None,
     }
     if json:
         terminal.print_json(found)
@@ -118,6 +130,8 @@ def recover(
         facts.print_measures(found)
         print()
         facts.print_changes(found)
+        if as_rotations:
+            facts.print_apart(found)
         print("wrote", " and ".join(str(each) for each in (output, figure) if each is not None))
 
 
@@ -179,7 +193,7 @@ def demo(
         print(f"look at {picture}: orange went in, blue came out, black is the truth")
     print("now try a file of yours (BVH, AMC, CSV or NPZ):")
     print("  motionrecover info walk.bvh")
-    print("  motionrecover recover walk.bvh -o walk-recovered.npz --figure walk.png")
+    print("  motionrecover recover walk.bvh -o walk-clean.bvh --figure walk.png")
 
 
 def corrupt(
@@ -287,7 +301,7 @@ def info(
 
 def convert(
     path: given.Input,
-    output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .npz or .csv.")],
+    output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .npz, .csv or .bvh.")],
     to: Annotated[
         str | None, typer.Option(metavar="NAME", help="Format of OUT, if not what its ending says: csv-long.")
     ] = None,
@@ -300,7 +314,7 @@ def convert(
     skip_first: given.SkipFirst = False,
     quiet: given.Quiet = False,
 ) -> None:
-    """Write a motion in another format, in metres with y up, every number exact."""
+    """Write a motion in another format, in metres with y up. Every number is exact; BVH has six decimals."""
     _hush(quiet)
     given.check_output(output, overwrite, to)
     clip = load(path, format=format, skeleton=skeleton, unit=unit, up=up, fps=fps, skip_first=skip_first)

@@ -34,6 +34,15 @@ def size(motion: Motion) -> str:
     )
 
 
+def keeps_rest(motion: Motion) -> bool:
+    """Whether a clip that came from BVH has its bones at the lengths of the rest pose, within half a millimetre."""
+    rest = motion.skeleton.rest_lengths
+    if motion.rig is None or rest is None:
+        return False
+    lengths = estimate_bone_lengths(motion.skeleton.bone_lengths_of(measured(motion))).length
+    return bool((np.abs(lengths - rest) < 0.0005).all())
+
+
 def contents(motion: Motion) -> Facts:
     """What a motion holds."""
     skeleton, positions = motion.skeleton, measured(motion)
@@ -91,6 +100,13 @@ def print_contents(facts: Facts) -> None:
             *(("" if line else "history", text) for line, text in enumerate(facts["history"])),
         ],
     )
+
+
+def apart(motion: Motion, other: Motion) -> Facts:
+    """Distance of the joints that both know."""
+    off = 1000 * np.linalg.norm(motion.positions - other.positions, axis=-1)
+    off = off[np.isfinite(off)]
+    return {"mean": float(off.mean()), "largest": float(off.max())} if len(off) else {"mean": 0.0, "largest": 0.0}
 
 
 def verdict(recovery: Recovery) -> Facts:
@@ -164,6 +180,14 @@ def print_changes(facts: Facts) -> None:
         print(f"never seen: {', '.join(facts['never_seen'])}")
     if facts["partly_unknown"]:
         print(f"missing in part or throughout, also in the answer: {', '.join(facts['partly_unknown'])}")
+
+
+def print_apart(facts: Facts) -> None:
+    """Print what `apart` found."""
+    off = facts["rotations_mm"]
+    print(
+        f"written as rotations, joints are off by {off['mean']:.3f} mm in the mean and {off['largest']:.3f} mm at most"
+    )
 
 
 def print_measures(facts: Facts) -> None:

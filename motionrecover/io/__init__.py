@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from motionrecover.io import asf, bvh, csv, npz
+from motionrecover.io import asf, bvh, bvh_out, csv, npz
 from motionrecover.io.atomic import write_beside
 from motionrecover.io.border import Asked, frame_rate, metres_in, up_axis
 from motionrecover.io.errors import MotionFormatError, MotionFormatWarning
@@ -43,7 +43,7 @@ class Format:
 
 
 _FORMATS = (
-    Format("bvh", (".bvh",), "Biovision hierarchy: offsets and rotations", read=bvh.read),
+    Format("bvh", (".bvh",), "Biovision hierarchy: offsets and rotations", bvh.read, bvh_out.write),
     Format("amc", (".amc", ".asf"), "Acclaim motion on the .asf skeleton beside it", read=asf.read),
     Format("csv", (".csv",), "Table, a row a frame; both CSV layouts are read", csv.read, csv.write_wide),
     Format("csv-long", (), "Table, a row a joint and frame; by name only", csv.read, csv.write_long),
@@ -101,6 +101,7 @@ def load(
         positions=motion.positions[1:],
         observed=motion.observed[1:],
         confidence=None if motion.confidence is None else motion.confidence[1:],
+        rig=None if motion.rig is None else motion.rig.frames(slice(1, None)),
         history=(*motion.history, "left frame 0 out"),
     )
 
@@ -108,10 +109,11 @@ def load(
 def save(motion: Motion, path: str | Path, *, overwrite: bool = False, format: str | Format | None = None) -> Path:
     """Write a motion, in metres with y up, and return its path; the file appears whole or not at all.
 
-    `format` is chosen by the ending of the name unless given.
+    `format` is chosen by the ending of the name unless given. BVH of a motion that came from BVH has the unit, axes,
+    hierarchy and channels of that file: see `io.bvh_out`.
 
     Raises `FileExistsError` when the file exists and `overwrite` is false, other `OSError` when it cannot be written,
-    `MotionFormatError` for a format that is not written.
+    `MotionFormatError` for a format that is not written or that cannot hold the motion.
     """
     path = Path(path)
     chosen = _choose(path, format)

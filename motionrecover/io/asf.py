@@ -105,7 +105,7 @@ def read(path: Path, asked: Asked) -> Motion:
             )
         )
     return motion_from(
-        forward(asf.parents, translations, local),
+        forward(asf.parents, translations, local)[0],
         Skeleton.from_parents([bone.name for bone in asf.bones], asf.parents, offsets),
         fps=asked.fps or CMU_FPS,
         unit=unit,

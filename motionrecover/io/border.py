@@ -6,6 +6,7 @@ import math
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -123,6 +124,14 @@ def to_metres(vectors: np.ndarray, unit: float, up: str) -> np.ndarray:
     return vectors[..., axes] * np.asarray(signs, vectors.dtype) * unit
 
 
+def from_metres(vectors: np.ndarray, unit: float, up: str) -> np.ndarray:
+    """Vectors (..., 3) in metres with y up as the file has them: the inverse of `to_metres`."""
+    axes, signs = _TO_Y_UP[up]
+    out = np.empty_like(vectors)
+    out[..., axes] = vectors * np.asarray(signs, vectors.dtype) / unit
+    return out
+
+
 def motion_from(
     positions: np.ndarray,
     skeleton: Skeleton,
@@ -138,7 +147,7 @@ def motion_from(
     if skeleton.rest_offsets is not None:
         offsets = to_metres(np.asarray(skeleton.rest_offsets), unit, up)
         skeleton = Skeleton(skeleton.names, skeleton.edges, offsets)
-    masks = {} if observed is None else {"observed": observed}
+    masks: dict[str, Any] = {} if observed is None else {"observed": observed}
     metres = to_metres(positions, unit, up)
     return Motion(metres, skeleton, fps, confidence=confidence, unit=unit, up=up, history=history, **masks)
 

@@ -1,4 +1,4 @@
-"""BVH (Biovision hierarchy), read only: a skeleton of offsets, then one row of channels a frame.
+"""Reading BVH (Biovision hierarchy): a skeleton of offsets, then one row of channels a frame.
 
 Joints keep their file order; each end site becomes a joint, `LeftToeBase_end`. A position channel takes the place of
 that component of the joint's OFFSET, on the root as on any joint, as in Blender's importer and pybvh. Rotations are
@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
 
@@ -26,6 +26,7 @@ from motionrecover.io.border import Asked, assume, counted, finite, motion_from,
 from motionrecover.io.errors import MotionFormatError
 from motionrecover.io.kinematics import euler_rotations, forward
 from motionrecover.motion import UNITS, Motion
+from motionrecover.rig import Rig
 from motionrecover.skeleton import Skeleton
 
 PERSON = 1.7
@@ -45,6 +46,7 @@ class _Joint:
     name: str
     parent: int
     line: int
+    end: bool
     offset: list[float] | None = None
     channels: list[tuple[str, int]] = field(default_factory=list)
     """(position or rotation, axis) for each column of the joint."""
@@ -63,26 +65,26 @@ def read(path: Path, asked: Asked) -> Motion:
         raise ValueError("received a skeleton for a BVH file, which brings its own: leave skeleton= (--skeleton) out")
     lines = read_lines(path)
     joints, start = _hierarchy(path, lines)
-    values, fps, timing = _motion(path, lines, start, sum(len(joint.channels) for joint in joints), asked)
+    values, fps, frame_time, timing = _motion(path, lines, start, sum(len(joint.channels) for joint in joints), asked)
 
     parents = [joint.parent for joint in joints]
     offsets = np.array([joint.offset for joint in joints])
-    translations = np.broadcast_to(offsets, (len(values), *offsets.shape)).copy()
-    angles, orders, column = np.zeros_like(translations), [], 0
-    for j, joint in enumerate(joints):
-        order = []
-        for kind, axis in joint.channels:
-            if kind == "position":
-                translations[:, j, axis] = values[:, column]
-            else:
-                angles[:, j, len(order)] = np.radians(values[:, column])
-                order.append("XYZ"[axis])
-            column += 1
-        orders.append("".join(order) + "".join(axis for axis in "XYZ" if axis not in order))
-    positions = forward(parents, translations, euler_rotations(angles, orders))
+    rig = Rig(
+        names=tuple(joint.name for joint in joints),
+        parents=tuple(parents),
+        offsets=offsets.copy(),
+        channels=tuple(tuple(joint.channels) for joint in joints),
+        ends=tuple(joint.end for joint in joints),
+        values=values,
+        frame_time=frame_time,
+        unit=1.0,
+        up="y",
+    )
+    translations, angles = rig.split()
+    positions = forward(parents, translations, euler_rotations(angles, rig.orders))[0]
 
     offsets[[parent == -1 for parent in parents]] = 0.0
-    rest = forward(parents, offsets[None], np.broadcast_to(np.eye(3), (1, len(joints), 3, 3)))
+    rest = forward(parents, offsets[None], np.broadcast_to(np.eye(3), (1, len(joints), 3, 3)))[0]
     history = [f"read {path.name} (BVH): {counted(len(values), 'frame')}, {counted(len(joints), 'joint')}", timing]
     up = asked.up or _up(rest, positions)
     if asked.up is None:
@@ -97,8 +99,9 @@ def read(path: Path, asked: Asked) -> Motion:
                 f"rest pose {unit * _extents(rest).max():.2f} m, override with unit= (--unit)"
             )
         )
-    skeleton = Skeleton.from_parents([joint.name for joint in joints], parents, offsets)
-    return motion_from(positions, skeleton, fps=fps, unit=unit, up=up, history=tuple(history))
+    skeleton = Skeleton.from_parents(rig.names, parents, offsets)
+    motion = motion_from(positions, skeleton, fps=fps, unit=unit, up=up, history=tuple(history))
+    return replace(motion, rig=replace(rig, unit=unit, up=up))
 
 
 def _hierarchy(path: Path, lines: list[str]) -> tuple[list[_Joint], int]:
@@ -171,7 +174,7 @@ def _declared(key: str, words: list[str], number: int, joints: list[_Joint], blo
             name, count = f"{base}{count + 1}", count + 1
     if not name or name in taken:
         fail(f"received joint name {name!r} {'again' if name else ''}, give every joint a name of its own")
-    return _Joint(name, parent, number)
+    return _Joint(name, parent, number, key == "END")
 
 
 def _channels(words: list[str], fail: _Fail) -> list[tuple[str, int]]:
@@ -185,8 +188,10 @@ def _channels(words: list[str], fail: _Fail) -> list[tuple[str, int]]:
     return channels
 
 
-def _motion(path: Path, lines: list[str], start: int, columns: int, asked: Asked) -> tuple[np.ndarray, float, str]:
-    """Values (frame, channel), frames a second, and a line of history about the frame rate."""
+def _motion(
+    path: Path, lines: list[str], start: int, columns: int, asked: Asked
+) -> tuple[np.ndarray, float, float, str]:
+    """Values (frame, channel), frames a second, the frame time, and a line of history about the frame rate."""
     header: dict[str, tuple[int, str]] = {}
     rows: list[tuple[int, str]] = []
     for number, line in enumerate(lines[start:], start + 1):
@@ -197,7 +202,7 @@ def _motion(path: Path, lines: list[str], start: int, columns: int, asked: Asked
             rows.append((number, line))
 
     if asked.fps is not None:
-        fps, timing = asked.fps, f"took the frame rate asked for, {asked.fps:g}"
+        fps, seconds, timing = asked.fps, 1 / asked.fps, f"took the frame rate asked for, {asked.fps:g}"
     elif "time" not in header:
         raise MotionFormatError(f"{path}, line {start}: no 'Frame Time:' follows MOTION, give fps= (--fps)")
     else:
@@ -230,7 +235,7 @@ def _motion(path: Path, lines: list[str], start: int, columns: int, asked: Asked
             f"{path}, line {number}: received Frames: {shown(text)} and {counted(len(rows), 'row')} of numbers, "
             "get the whole file or correct the number"
         )
-    return values, fps, timing
+    return values, fps, seconds, timing
 
 
 def _blame(path: Path, rows: list[tuple[int, str]], columns: int) -> NoReturn:
