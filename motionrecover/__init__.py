@@ -5,6 +5,7 @@ from importlib.metadata import version
 from motionrecover import corrupt, metrics
 from motionrecover.evidence.rigid_graph import infer_graph
 from motionrecover.io import MotionFormatError, MotionFormatWarning, load, save
+from motionrecover.many import Outcome, recover_many
 from motionrecover.motion import Motion
 from motionrecover.presets import PRESETS, Preset
 from motionrecover.recover import Recovery, RecoveryError, recover
@@ -19,6 +20,7 @@ __all__ = [
     "Motion",
     "MotionFormatError",
     "MotionFormatWarning",
+    "Outcome",
     "Preset",
     "Recovery",
     "RecoveryError",
@@ -29,6 +31,7 @@ __all__ = [
     "load",
     "metrics",
     "recover",
+    "recover_many",
     "save",
     "synthesize",
 ]

@@ -1,38 +1,108 @@
-"""Compiled programs: one for clips of about one length, kept for the next clip."""
+"""Compiled programs: one for clips of about one length, kept for the next clip and, if asked, for the next process."""
 
+from __future__ import annotations
+
+import logging
+import threading
 import time
+from collections.abc import Callable
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import jax
+import numpy as np
 
-from motionrecover.solver import Problem, Solution, solve
+_log = logging.getLogger("motionrecover")
+_lock = threading.Lock()
+
+OPTIONS: dict[str, str | bool] = {"xla_cpu_use_fusion_emitters": False, "xla_cpu_multi_thread_eigen": False}
+"""Of XLA on a CPU. Without fusion emitters the smoother compiles in half the time and runs as fast. One thread a
+program: programs that share threads wait for each other, for ever where two of them run on two processors."""
+SLOW = 1.0
+"""Seconds after which compiling is worth a line in the log."""
 
 
-def bucket(frames: int) -> int:
+def bucket(frames: int, window: int | None = None) -> int:
     """Stored length for a clip: `frames` rounded up to one of eight sizes an octave (at most 1/8 more, from 8 on).
 
-    Clips of one bucket share a compiled program. Padding does not change an answer: see `solver.Problem`.
+    The same whatever the window. Clips of one bucket share a compiled program. Padding does not change an answer: see
+    `solver.Problem`.
     """
     step = max(1, 1 << max(0, (frames - 1).bit_length() - 4))
     return max(8, -(-frames // step) * step)
 
 
-def run(solver: Any, problem: Problem, max_steps: int, seconds: dict[str, float]) -> Solution:
-    """The solution; the time of compiling and running is added to `seconds`. To be called under `jax.enable_x64`."""
-    leaves, structure = jax.tree.flatten((solver, problem))
-    misses, start = _compile.cache_info().misses, time.perf_counter()
-    program = _compile(structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves), max_steps)
-    compiled = time.perf_counter()
-    solution = jax.block_until_ready(program(solver, problem))
+def halving(frames: int, window: int | None) -> int:
+    """Stored length for one of many clips: the least of `window`, its half, its quarter, ... that holds the frames."""
+    if window is None:
+        return 1 << max(3, (frames - 1).bit_length())
+    size = window
+    while size // 2 >= max(frames, 8):
+        size //= 2
+    return size
+
+
+def keep_in(folder: Path) -> None:
+    """Keep the programs in this folder too, for other processes: JAX's persistent compilation cache.
+
+    Where the user has one already, that one serves. JAX makes a damaged file anew, with a warning.
+    """
+    if jax.config.jax_compilation_cache_dir:  # pyright: ignore[reportAttributeAccessIssue]
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
+
+
+def run(function: Callable, arrays: dict[str, Any], static: dict[str, Any], seconds: dict[str, float]) -> Any:
+    """`function` of named arrays (any pytrees) and of static values, compiled for their shapes; the answer in NumPy.
+
+    The time of compiling and running is added to `seconds`. To be called under `jax.enable_x64`.
+    """
+    leaves, structure = jax.tree.flatten(arrays)
+    leaves = [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf) for leaf in leaves]
+    start = time.perf_counter()
+    with _lock:
+        known = _compile.cache_info().misses
+        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
+        program, returned = _compile(function, structure, shapes, tuple(static.items()))
+        compiled = time.perf_counter()
+        if _compile.cache_info().misses > known:
+            seconds["compile"] += compiled - start
+    found = jax.device_get(program(leaves))
     seconds["run"] += time.perf_counter() - compiled
-    if _compile.cache_info().misses > misses:
-        seconds["compile"] += compiled - start
-    return solution
+    return jax.tree.unflatten(returned, found)
 
 
 @lru_cache(maxsize=256)
-def _compile(structure, shapes, max_steps):
-    """The solver's program for arguments of this structure and these shapes."""
-    arguments = jax.tree.unflatten(structure, [jax.ShapeDtypeStruct(*shape) for shape in shapes])
-    return jax.jit(lambda solver, problem: solve(solver, problem, max_steps)).lower(*arguments).compile()
+def _compile(function, structure, shapes, static):
+    """The program from a list of leaves of this structure and these shapes to another, and the structure of that."""
+    sizes = sorted({"x".join(map(str, shape)) for shape, _ in shapes if len(shape) > 1})
+    line = f"compiling {function.__name__} for arrays of {', '.join(sizes)}: once for clips of about this length"
+    timer = threading.Timer(SLOW, _log.info, [line])
+    timer.start()
+    returned = []
+
+    def flat(leaves):
+        answer, shape = jax.tree.flatten(function(**jax.tree.unflatten(structure, leaves), **dict(static)))
+        returned.append(shape)
+        return answer
+
+    try:
+        lowered = jax.jit(flat).lower([jax.ShapeDtypeStruct(*shape) for shape in shapes])
+        program = _compiled(lowered)
+    finally:
+        timer.cancel()
+    return program, returned[0]
+
+
+def _compiled(lowered):
+    """The lowered program, compiled with `OPTIONS` where they are known."""
+    if jax.default_backend() == "cpu":
+        try:
+            return lowered.compile(compiler_options=OPTIONS)
+        except jax.errors.JaxRuntimeError as error:
+            if "No such compile option" not in str(error):
+                raise
+    return lowered.compile()

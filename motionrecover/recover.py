@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -17,7 +17,7 @@ from motionrecover.programs import bucket, run
 from motionrecover.robust import Change
 from motionrecover.runs import run_lengths
 from motionrecover.skeleton import Skeleton
-from motionrecover.solver import Result, Solution
+from motionrecover.solver import Result, Solution, solve
 
 TRUST = 0.01
 """Metres. A published model's sample that was moved farther counts as repaired, and less than fully trusted."""
@@ -100,6 +100,7 @@ def recover(
     dtype: Any = None,
     throw: bool = True,
     verbose: bool = False,
+    store: Callable[[int, int | None], int] = bucket,
 ) -> Recovery:
     """Recover the motion behind corrupted joint positions.
 
@@ -110,7 +111,8 @@ def recover(
     estimated from D. `fps`: frames a second, kept in the answer; no preset depends on it. `max_steps`: in place of the
     preset's. `dtype` of the answer: float32 (the default) or float64; the published models also compute in it,
     `robust` always in float64. `throw`: raise `RecoveryError` when the verdict is that there is no usable answer,
-    instead of returning it with the verdict. `verbose`: print the trace.
+    instead of returning it with the verdict. `verbose`: print the trace. `store`: the stored length for frames of a
+    window, on which the answer does not depend: `programs.bucket` or `programs.halving`.
 
     Of `robust` only: `max_gap`: gaps of more frames than this stay NaN; left out, a gap is filled however long, and
     `uncertainty` says how far to trust it. `fill_unseen`: joints that no frame shows are placed by their bones instead
@@ -135,13 +137,13 @@ def recover(
     if isinstance(preset, Robust):
         if plant_feet and fps is None:
             raise ValueError("received plant_feet without fps: contacts are found by speed, give frames a second")
-        recovery = _robust(*arguments, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet, symmetric)
+        recovery = _robust(*arguments, preset, steps, dtype, fps, store, max_gap, fill_unseen, plant_feet, symmetric)
     elif max_gap is not None or fill_unseen or plant_feet or symmetric:
         raise ValueError(
             f"received max_gap, fill_unseen, plant_feet or symmetric for {preset.name}: they are options of robust"
         )
     else:
-        recovery = _published(*arguments, preset, steps, dtype, fps)
+        recovery = _published(*arguments, preset, steps, dtype, fps, store)
     if throw and _useless(recovery.result):
         raise RecoveryError(recovery.message)
     if verbose:
@@ -150,7 +152,20 @@ def recover(
 
 
 def _robust(
-    D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet, paired
+    D,
+    skeleton,
+    observed,
+    confidence,
+    bone_lengths,
+    preset,
+    steps,
+    dtype,
+    fps,
+    store,
+    max_gap,
+    fill_unseen,
+    plant_feet,
+    paired,
 ):
     """The answer of `robust`: see `motionrecover.robust`."""
     raw, trust = intake.check(D, skeleton, observed, confidence)
@@ -186,7 +201,7 @@ def _robust(
     pairs = [(merged.get(a), merged.get(b)) for a, b in mirrored_bones(skeleton)] if paired else []
     pairs = [(a, b) for a, b in pairs if a is not None and b is not None]
     seconds = {"compile": 0.0, "run": 0.0}
-    restored = robust.restore(clip, preset, bone_lengths is not None, pairs, steps, seconds)
+    restored = robust.restore(clip, preset, bone_lengths is not None, pairs, steps, store, seconds)
     verdict = robust.verdict(restored)
 
     positions, variance, intact = (
@@ -245,7 +260,7 @@ def _robust(
     )
 
 
-def _published(D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps):
+def _published(D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps, store):
     """The answer of a published model: windows, solved one by one and faded into each other."""
     printed = preset.initialisation == "printed"
     clip = intake.take_in(
@@ -262,13 +277,13 @@ def _published(D, skeleton, observed, confidence, bone_lengths, preset, steps, d
     frames = len(clip.data)
     window = frames if printed or preset.window is None else preset.window
     spans = windows.split(frames, window, min(preset.overlap, window - 1))
-    stored = bucket(min(frames, window))
+    stored = store(min(frames, window), preset.window)
     positions, outliers, solutions, seconds = [], [], [], {"compile": 0.0, "run": 0.0}
     # float64 is allowed for float32 data too: see `prox.singular_value_threshold`.
     with jax.enable_x64(True):
         for span in spans:
             problem, origin = clip.problem(span, stored, dtype)
-            solution = run(preset.solver(problem), problem, steps, seconds)
+            solution = run(solve, {"solver": preset.solver(problem), "problem": problem}, {"max_steps": steps}, seconds)
             size = span.stop - span.start
             positions.append(clip.restore(solution.positions, size) + origin.astype(dtype))
             outliers.append(clip.restore(solution.outliers, size))

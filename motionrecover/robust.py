@@ -18,7 +18,7 @@ do not matter. Everything is float64: variances of missing and of noiseless samp
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
@@ -26,8 +26,6 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.linalg import solveh_banded
-from scipy.ndimage import median_filter
 
 from motionrecover import windows
 from motionrecover.evidence.bone_errors import drift, slack, smoothed_lengths
@@ -44,10 +42,10 @@ from motionrecover.evidence.regression import bone_distance, predict_missing
 from motionrecover.intake import Intake
 from motionrecover.isometry.projection import project
 from motionrecover.presets import Robust
-from motionrecover.programs import bucket, run
+from motionrecover.programs import run
 from motionrecover.runs import run_lengths
 from motionrecover.skeleton import Skeleton, bone_lengths
-from motionrecover.solver import Result, Smoother, Solution
+from motionrecover.solver import Result, Smoother, Solution, solve
 from motionrecover.solver.smoother import INTACT
 
 BODY = 3
@@ -105,11 +103,13 @@ def restore(
     given: bool,
     mirrored: Sequence[tuple[int, int]],
     max_steps: int,
+    store: Callable[[int, int | None], int],
     seconds: dict[str, float],
 ) -> Restored:
     """Steps 2 to 6, for a clip whose joints are all observed somewhere.
 
     `given`: the bone lengths are not estimates. `mirrored`: pairs of bones whose estimates are drawn together.
+    `store`: the stored length for frames of a window.
     """
     observed = clip.merged_weights > 0
     data = np.where(observed[..., None], clip.merged, np.nan)
@@ -124,7 +124,7 @@ def restore(
 
     window = preset.window or len(data)
     spans = windows.split(len(data), window, min(preset.overlap, window - 1))
-    stored = bucket(spans[0].stop - spans[0].start)
+    stored = store(spans[0].stop - spans[0].start, preset.window)
     together = evidence(lengths, bones)
     pieces, solutions = [], []
     with jax.enable_x64(True):
@@ -176,10 +176,10 @@ def restore(
             covariance, combined = covariance + np.diag(off), combined + off
         held &= np.isfinite(bones.length)
         length, varies = np.where(held, bones.length, 0), np.where(held, varies, (FREE * scale) ** 2)
-        positions, left = _project(positions, covariance, length, varies, clip.edges, stored)
+        positions, left = _project(positions, covariance, length, varies, clip.edges, stored, seconds)
         if not exact:
             steady = _steady(positions, INDEPENDENT * combined, drive)
-            positions, left = _project(steady, covariance, length, varies, clip.edges, stored)
+            positions, left = _project(steady, covariance, length, varies, clip.edges, stored, seconds)
     # What the other joints predict is near its bones' lengths to begin with: there the bones correct little.
     lost = _lost(kept)
     return Restored(
@@ -294,15 +294,19 @@ def _solve(clip, span, stored, together, bones, scale, noise_max, max_steps, sec
     # A hundredth of a bone a frame, where no three samples in a row tell; nothing that moves needs less than a 10^-5th.
     drive = np.where(np.isnan(drive), (0.01 * scale) ** 2, np.maximum(drive, (1e-5 * scale) ** 2))
     agreeing = np.median(bones.share[bones.rigid]) if bones.rigid.any() else 0.9
+
+    def array(value):
+        return jnp.asarray(value, np.float64)
+
     solver = Smoother(
-        evidence=jnp.asarray(np.pad(together, ((0, stored - len(together)), (0, 0)))),
-        drive=jnp.asarray(drive),
-        scale=jnp.asarray(scale),
-        outlier_share=jnp.asarray(float(np.clip(1 - np.sqrt(agreeing), 0.02, 0.95))),
-        noise_max=jnp.asarray(noise_max),
-        tolerance=jnp.asarray(0.02),
+        evidence=array(np.pad(together, ((0, stored - len(together)), (0, 0)))),
+        drive=array(drive),
+        scale=array(scale),
+        outlier_share=array(float(np.clip(1 - np.sqrt(agreeing), 0.02, 0.95))),
+        noise_max=array(noise_max),
+        tolerance=array(0.02),
     )
-    return run(solver, problem, max_steps, seconds), origin
+    return run(solve, {"solver": solver, "problem": problem}, {"max_steps": max_steps}, seconds), origin
 
 
 def _with_regression(positions, variance, kept, drive, edges):
@@ -316,7 +320,13 @@ def _with_regression(positions, variance, kept, drive, edges):
     both = variance * np.where(np.isfinite(doubt), doubt, 0) / np.maximum(variance + doubt, np.finfo(float).tiny)
     positions, variance = positions + weight[..., None] * (predicted - positions), np.where(weight > 0, both, variance)
     positions = np.where(gaps[..., None], _steady(positions, variance, drive), positions)
-    return positions, np.where(gaps, np.minimum(variance, median_filter(variance, (STEADY, 1))), variance)
+    return positions, np.where(gaps, np.minimum(variance, _running_median(variance)), variance)
+
+
+def _running_median(x):
+    """Median of `STEADY` frames of x (frame, joint), mirrored at its ends."""
+    padded = np.pad(x, ((STEADY // 2, STEADY // 2), (0, 0)), mode="symmetric")
+    return np.median(np.lib.stride_tricks.sliding_window_view(padded, STEADY, axis=0), axis=-1)
 
 
 def _steady(positions, variance, drive):
@@ -324,6 +334,8 @@ def _steady(positions, variance, drive):
 
     The regression knows frames, not paths: without this, joints jump by up to 5 cm inside gaps of a noisy clip.
     """
+    from scipy.linalg import solveh_banded  # a fifth of a second to import
+
     least = 1e-6 * drive[drive > 0].min(initial=np.inf)
     weight = 1 / np.maximum(variance, least)
     # Two frames without drive at either end: no second difference reaches over them.
@@ -363,15 +375,18 @@ def _lost(kept):
     return run_lengths(few) > LONG if kept.any() else np.ones_like(few)
 
 
-_projected = jax.jit(project, static_argnums=3)
-
-
-def _project(positions, covariance, lengths, slack, edges, block):
+def _project(positions, covariance, lengths, slack, edges, block, seconds):
     """`project` in blocks of one size so that one program does."""
     out = []
     for start in range(0, len(positions), block):
         part = slice(start, start + block)
         pad = ((0, block - len(positions[part])), (0, 0), (0, 0))
-        answer = _projected(np.pad(positions[part], pad), np.pad(covariance[part], pad), lengths, edges, slack)
+        arrays = {
+            "positions": np.pad(positions[part], pad),
+            "covariance": np.pad(covariance[part], pad),
+            "bone_lengths": lengths,
+            "slack": slack,
+        }
+        answer = run(project, arrays, {"edges": edges}, seconds)
         out.append([np.asarray(x)[: len(positions[part])] for x in answer])
     return [np.concatenate(parts) for parts in zip(*out, strict=True)]

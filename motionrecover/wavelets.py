@@ -23,7 +23,6 @@ from functools import cache
 
 import jax.numpy as jnp
 import numpy as np
-import pywt
 from jax import lax
 from jaxtyping import Array, Float, Int
 
@@ -34,6 +33,8 @@ def filters(wavelet: str) -> np.ndarray:
 
     Raises `ValueError` for an unknown or non-orthogonal wavelet.
     """
+    import pywt  # for the filters alone
+
     known = pywt.wavelist(kind="discrete")  # pyright: ignore[reportAttributeAccessIssue]
     if wavelet not in known:
         raise ValueError(f"received wavelet {wavelet!r}: give one of {', '.join(known)}")

@@ -16,6 +16,12 @@ settings.register_profile("motionrecover", deadline=None, derandomize=True)
 settings.load_profile("motionrecover")
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """The command keeps compiled programs for the tests alone."""
+    os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of real recordings, which is no part of the project."""

@@ -14,6 +14,7 @@ LAYERS = [
     {"presets", "programs", "intake", "windows", "io"},
     {"robust"},
     {"recover"},
+    {"many"},
     {"figures"},
     {"cli", "__main__"},
 ]

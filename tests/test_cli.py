@@ -8,10 +8,11 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 
-from motionrecover import __version__, corrupt, load, metrics, save, synthesize
+from motionrecover import __version__, corrupt, load, metrics, programs, save, synthesize
 from motionrecover.cli import commands, main
 from motionrecover.motion import Motion
 from motionrecover.recover import RecoveryError
@@ -44,6 +45,7 @@ HIP_KNEE = STATED + "# parents: -1, 0\nhip_x,hip_y,hip_z,knee_x,knee_y,knee_z\n"
 def folder(tmp_path, monkeypatch):
     """A working folder with truth.npz and corrupted.csv."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(programs, "SLOW", 3600)  # notes on compiling would come and go with the load of the machine
     save(TRUTH, "truth.npz")
     positions, _ = corrupt.apply("iid-20", TRUTH.positions, 1)
     positions[5:9, 3] = np.nan
@@ -90,6 +92,19 @@ def test_recover_from_csv_to_npz(folder, run):
     assert any(line.startswith("recovered with robust") for line in after.history)
     aje = [metrics.aje(clip.positions, TRUTH.positions, before.observed) for clip in (before, after)]
     assert aje[1] < 0.1 * aje[0]
+
+
+def test_programs_are_kept_between_runs_unless_told_not_to(folder, run, monkeypatch):
+    before = jax.config.jax_compilation_cache_dir
+    monkeypatch.setenv("XDG_CACHE_HOME", str(folder / "cache"))
+    jax.config.update("jax_compilation_cache_dir", None)
+    try:
+        assert run("recover", "corrupted.csv", "-o", "first.npz", "--no-cache")[0] == 0
+        assert not (folder / "cache").exists()
+        assert run("recover", "corrupted.csv", "-o", "second.npz")[0] == 0
+        assert jax.config.jax_compilation_cache_dir == str(folder / "cache" / "motionrecover")
+    finally:
+        jax.config.update("jax_compilation_cache_dir", before)
 
 
 def test_recover_prints_one_json_object_with_the_same_numbers(folder, run):

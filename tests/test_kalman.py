@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from helpers import TOLERANCE
 
-from motionrecover.solver.kalman import SPEED, smooth
+from motionrecover.solver.kalman import SPEED, smooth, smooth_each
 
 START = 3.0
 
@@ -63,6 +63,16 @@ def test_a_joint_unseen_for_long_at_the_start_keeps_its_variance():
     variance = np.einsum("tjj->tj", found.covariance)
     assert variance.min() > 0
     np.testing.assert_allclose(variance, np.diag(covariance).reshape(110, 3), rtol=1e-3, atol=1e-6)
+
+
+def test_joint_by_joint_is_the_same_where_the_drive_is_diagonal():
+    samples, noise, drive, activity = case(12, 4)
+    one, other = (jax.jit(f)(samples, noise, np.diag(np.diag(drive)), activity, START) for f in (smooth, smooth_each))
+    for name, value in vars(one).items():
+        expected = np.asarray(value)
+        if name == "information":
+            expected = expected * np.eye(4)
+        np.testing.assert_allclose(getattr(other, name), expected, atol=TOLERANCE["posterior"])
 
 
 def test_error_is_what_is_left_without_the_sample():

@@ -53,6 +53,9 @@ SkipFirst = Annotated[
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]
+NoCache = Annotated[
+    bool, typer.Option("--no-cache", help="Compile anew, and keep nothing in ~/.cache/motionrecover for the next time.")
+]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="The same seed gives the same file.")]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -9,7 +10,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 import typer
 
-from motionrecover import __version__, presets
+from motionrecover import __version__, presets, programs
 from motionrecover.cli import arguments as given
 from motionrecover.cli import facts, terminal
 from motionrecover.corrupt import PROTOCOLS, apply
@@ -65,6 +66,7 @@ def recover(
     json: given.Json = False,
     quiet: given.Quiet = False,
     verbose: Annotated[bool, typer.Option("--verbose", "-v", help="Print the solver's trace.")] = False,
+    no_cache: given.NoCache = False,
 ) -> None:
     """Recover the motion behind a corrupted recording: spikes and jitter removed, missing joints filled in.
 
@@ -93,6 +95,7 @@ def recover(
         clip,
         preset,
         quiet,
+        not no_cache,
         bone_lengths=lengths,
         max_gap=max_gap,
         fill_unseen=fill_unseen,
@@ -141,6 +144,7 @@ def demo(
     seconds: Annotated[float, typer.Option(help="Length of the motion.")] = 8.0,
     seed: given.Seed = 0,
     json: given.Json = False,
+    no_cache: given.NoCache = False,
 ) -> None:
     """Show what it does: make a motion, corrupt it, recover it, and draw the three.
 
@@ -155,7 +159,7 @@ def demo(
     for path in paths:
         given.check_place(path, overwrite)
     corrupted = truth.with_positions(apply("iid-20", truth.positions, seed)[0], f"corrupted by iid-20, seed {seed}")
-    recovery, recovered = _recover(corrupted, _PRESET)
+    recovery, recovered = _recover(corrupted, _PRESET, cached=not no_cache)
     for path, clip in zip(paths, (truth, corrupted, corrupted, recovered, recovered), strict=False):
         save(clip, path, overwrite=overwrite)
     picture = paths[-1]
@@ -329,8 +333,13 @@ def _hush(quiet: bool) -> None:
         warnings.simplefilter("ignore")
 
 
-def _recover(clip: Motion, preset: str, quiet: bool = False, **settings: Any) -> tuple[Recovery, Motion]:
+def _recover(
+    clip: Motion, preset: str, quiet: bool = False, cached: bool = True, **settings: Any
+) -> tuple[Recovery, Motion]:
     """The recovery of a clip, and its motion."""
+    terminal.show_log(quiet)
+    if cached:
+        _keep_programs()
 
     def call() -> Recovery:
         masks = {"observed": clip.observed, "confidence": clip.confidence}
@@ -340,6 +349,15 @@ def _recover(clip: Motion, preset: str, quiet: bool = False, **settings: Any) ->
     ended = "converged" if recovery.converged else "not converged"
     note = f"recovered with {preset} of motionrecover {__version__}: {counted(recovery.steps, 'step')}, {ended}"
     return recovery, clip.with_positions(recovery.positions, note)
+
+
+def _keep_programs() -> None:
+    """Compiled programs go to and come from the user's cache folder, if it can be written."""
+    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    try:
+        programs.keep_in(Path(root) / "motionrecover")
+    except OSError as error:
+        warnings.warn(f"compiled programs are not kept: {error}", stacklevel=1)
 
 
 def _draw(truth: Motion | None, corrupted: Motion, recovered: Motion, path: Path, overwrite: bool) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import math
 import sys
 import warnings
@@ -30,6 +31,20 @@ def show_warnings_as_notes() -> None:
     warnings.simplefilter("always")
     warnings.simplefilter("ignore", DeprecationWarning)
     warnings.showwarning = show
+
+
+class _Notes(logging.Handler):
+    """Prints what the package logs as lines `note: ...` on the stderr of the moment."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        print("note:", record.getMessage(), file=sys.stderr)
+
+
+def show_log(quiet: bool) -> None:
+    """Print what the package logs, such as what it compiles, unless `quiet`."""
+    log = logging.getLogger("motionrecover")
+    log.handlers = [] if quiet else [_Notes()]
+    log.setLevel(logging.INFO)
 
 
 def work(task: str, quiet: bool, call: Callable[[], _T]) -> _T:

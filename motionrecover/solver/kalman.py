@@ -17,7 +17,7 @@ the covariance update, which stays positive definite when r spans nine orders of
 Backward, without inverting P (Bryson & Frazier 1963; de Jong, "Smoothing and interpolation with the state-space model",
 JASA 84, 1989; Durbin & Koopman 2012, Sec. 4.4-4.5), from g = 0, G = 0 behind the last frame:
 
-    u_t = V^-1 v + K^T g,  U_t = V^-1 + K^T G K
+    u_t = V^-1 v + K^T g,  U_t = V^-1 + K^T G K (of which the diagonal is needed)
     g <- (I - K H)^T g - H^T V^-1 v,  G <- (I - K H)^T G (I - K H) + H^T V^-1 H
     E[z_t | y] = z - P g,  Var[z_t | y] = P - P G P;  then g <- F^T g,  G <- F^T G F
 
@@ -89,14 +89,15 @@ def smooth(
         g, G = carry
         z, p, innovation, inverse, gain = row
         u = inverse @ innovation + gain.T @ g
-        across = G @ gain
-        U = inverse + gain.T @ across
-        g = g.at[:joints].add(-u)
         # Written out, this loses what long gaps know: beside exact samples G is 1e9 times larger than V^-1 in them.
-        kept = whole.at[:, :joints].add(-gain)
-        G = (kept.T @ G @ kept).at[:joints, :joints].add(inverse)
-        G = (G + G.T) / 2
-        precision = jnp.diag(U)
+        kept = whole[:, :joints] - gain
+        products = G @ jnp.concatenate([kept, gain], 1)
+        once, across = products[:, :joints], products[:, joints:]
+        precision = jnp.diag(inverse) + jnp.sum(gain * across, 0)
+        g = g.at[:joints].add(-u)
+        # H picks columns: the others of I - K H are those of I.
+        top = kept.T @ once + inverse
+        G = jnp.block([[(top + top.T) / 2, once[joints:].T], [once[joints:], G[joints:, joints:]]])
         now = p[:joints]
         smoothed = (
             z[:joints] - now @ g,
@@ -121,21 +122,41 @@ def smooth(
 
 
 def smooth_each(samples: Array, noise: Array, drive: Array, activity: Array, start: Array) -> Smoothed:
-    """`smooth` for a diagonal Q, in which joints know nothing of each other."""
+    """`smooth` for a diagonal Q, in which joints know nothing of each other.
 
-    def alone(samples, noise, drive):
-        return smooth(samples[:, None], noise[:, None], drive[None, None], activity, start)
+    The same recursions with numbers for blocks: P = (A, B; B, C) and G = (D, E; E, F) of each joint.
+    """
+    q = jnp.diag(drive)
+    zero = jnp.zeros_like(q)
 
-    s = jax.vmap(alone, (1, 1, 0), 1)(samples, noise, jnp.diag(drive))
+    def forward(carry, row):
+        x, last, A, B, C = carry
+        y, r, a = row
+        inverse = 1 / (A + r)
+        k1, k2 = A * inverse, B * inverse
+        v = y - x
+        now, before = x + k1[:, None] * v, last + k2[:, None] * v
+        A1, B1, C1 = k1 * r, k2 * r, C - k2 * B
+        cross = 2 * A1 - B1
+        return (2 * now - before, now, 4 * A1 - 4 * B1 + C1 + a * q, cross, A1), (x, v, A, B, inverse, k1, k2, r)
 
-    def matrix(of_joints):
-        return jax.vmap(jnp.diag)(of_joints[:, :, 0, 0])
+    def backward(carry, row):
+        g1, g2, D, E, F = carry
+        x, v, A, B, inverse, k1, k2, r = row
+        u = inverse[:, None] * v + k1[:, None] * g1 + k2[:, None] * g2
+        precision = inverse + k1 * (D * k1 + E * k2) + k2 * (E * k1 + F * k2)
+        kept = r * inverse  # 1 - k1
+        once1, once2 = D * kept - E * k2, E * kept - F * k2
+        g1, D, E = g1 - u, kept * once1 - k2 * once2 + inverse, once2
+        mean = x - A[:, None] * g1 - B[:, None] * g2
+        variance = A - A * (D * A + E * B) - B * (E * A + F * B)
+        smoothed = mean, variance, u / precision[:, None], 1 / precision, g1, D
+        return (2 * g1 + g2, -g1, 4 * D + 4 * E + F, -2 * D - E, D), smoothed
 
-    return Smoothed(
-        mean=s.mean[:, :, 0],
-        covariance=matrix(s.covariance),
-        error=s.error[:, :, 0],
-        error_variance=s.error_variance[:, :, 0],
-        score=s.score[:, :, 0],
-        information=matrix(s.information),
-    )
+    following = jnp.concatenate([activity[1:], activity[-1:]])
+    first = samples[0], samples[0], zero + start, zero + start, zero + start * (1 + SPEED**2)
+    _, filtered = lax.scan(forward, first, (samples, noise, following))
+    nothing = jnp.zeros_like(samples[0]), jnp.zeros_like(samples[0]), zero, zero, zero
+    _, (mean, variance, error, error_variance, score, information) = lax.scan(backward, nothing, filtered, reverse=True)
+    matrix = jax.vmap(jnp.diag)
+    return Smoothed(mean, matrix(variance), error, error_variance, score, matrix(information))

@@ -31,15 +31,16 @@ One step is one pass of expectation conditional maximisation (Meng & Rubin 1993)
         non-convexity, Blake & Zisserman 1987), and ends between `floor` and `noise_max`.
 """
 
+import math
 from typing import ClassVar
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jax.scipy.special import gammaln
 from jaxtyping import Array, Float, Int
 
+from motionrecover.isometry.objective import ends
 from motionrecover.solver.beliefs import beliefs
 from motionrecover.solver.kalman import smooth, smooth_each
 from motionrecover.solver.problem import Problem
@@ -160,9 +161,20 @@ class Smoother(eqx.Module):
         softly = 1 / (intact / noise + (1 - intact) / outlier)
         r = jnp.where(settling, jnp.where(intact > INTACT, noise, outlier), softly)
         r = jnp.where(observed, r, (self.MISSING * self.scale) ** 2)
-        # While annealing, Q is diagonal: joint by joint takes a tenth of the time.
+        # The first two frames have no second difference; padding has no score.
+        driven = (jnp.arange(frames) >= 2) & (jnp.arange(frames) < problem.frames)
         far = (self.FREE * self.scale) ** 2
-        s = lax.cond(settling, smooth, smooth_each, y, r, state.drive, state.activity, far)
+
+        def settle(y, r):
+            s = smooth(y, r, state.drive, state.activity, far)
+            drive = _drive(state.drive, state.activity, s, driven)
+            return s, drive, _activity(state.activity, state.drive, s, driven)
+
+        def cool(y, r):
+            return smooth_each(y, r, state.drive, state.activity, far), state.drive, state.activity
+
+        # While annealing, Q is diagonal: joint by joint takes a tenth of the time.
+        s, drive, activity = lax.cond(settling, settle, cool, y, r)
         variance = jnp.diagonal(s.covariance, axis1=1, axis2=2)
 
         prediction = jnp.maximum(s.error_variance - r, 1e-3 * variance)
@@ -170,11 +182,6 @@ class Smoother(eqx.Module):
         odds = jnp.log((1 - state.outlier_share) / state.outlier_share)
         odds = odds + _log_intact(square, prediction, noise) - _log_normal(square, prediction + outlier)
         intact = self._intact(problem, jnp.where(observed, odds, 0))
-
-        # The first two frames have no second difference; padding has no score.
-        driven = (jnp.arange(frames) >= 2) & (jnp.arange(frames) < problem.frames)
-        drive = jnp.where(settling, _drive(state.drive, state.activity, s, driven), state.drive)
-        activity = jnp.where(settling, _activity(state.activity, state.drive, s, driven), state.activity)
 
         weight = jnp.where(observed, intact, 0)
         doubt = jnp.where(observed, 1 - intact, 0)
@@ -228,8 +235,8 @@ class Smoother(eqx.Module):
 
     def _intact(self, problem, odds):
         observed = problem.weights.T > 0
-        both = jnp.stack([observed[:, i] & observed[:, j] for i, j in problem.edges], -1) if problem.edges else False
-        together = jnp.where(both, self.evidence, 0)
+        i, j = ends(problem.edges)
+        together = jnp.where(observed[:, i] & observed[:, j], self.evidence, 0)
         return jnp.where(observed, jax.nn.sigmoid(beliefs(odds, together, problem.edges)), 0)
 
 
@@ -240,7 +247,7 @@ def _log_intact(square, prediction, noise):
 
 def _log_t(square, variance):
     """Log density of Student's t with `FREEDOM` in three dimensions, less 1.5 log(2 pi)."""
-    constant = gammaln((FREEDOM + 3) / 2) - gammaln(FREEDOM / 2) - 1.5 * jnp.log(FREEDOM / 2)
+    constant = math.lgamma((FREEDOM + 3) / 2) - math.lgamma(FREEDOM / 2) - 1.5 * math.log(FREEDOM / 2)
     return constant - 1.5 * jnp.log(variance) - (FREEDOM + 3) / 2 * jnp.log1p(square / (FREEDOM * variance))
 
 

@@ -1,0 +1,77 @@
+"""Many clips at once: as many at a time as there are processors, with few compiled programs, answers in order."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+from motionrecover.motion import Motion
+from motionrecover.programs import halving
+from motionrecover.recover import Recovery, RecoveryError, recover
+
+AHEAD = 2
+"""Clips a worker that are read before the next answer is taken: a long clip does not stop the workers behind it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What became of one of many clips."""
+
+    index: int
+    """Its place among the clips, from 0."""
+    recovery: Recovery | None
+    """With the verdict on this clip; None where there is no usable answer."""
+    reason: str | None
+    """Why there is no answer, in a sentence."""
+
+
+def recover_many(clips: Iterable[Motion], *, workers: int | None = None, **settings: Any) -> Iterator[Outcome]:
+    """The outcomes of `recover` for each clip, in order, each as soon as it and those before it are done.
+
+    `clips` are read as they are needed and may be endless. `workers`: clips at a time; left out, one for each
+    processor. `settings` are those of `recover` (preset, bone_lengths, max_gap, ...), the same for all; masks and rate
+    come from the clip. A clip that cannot be recovered becomes an outcome with a reason, and the others go on. Ctrl-C
+    ends it when the clips at hand are done, and what was yielded stays.
+
+    The workers are threads: compiled programs let each other run, and a clip that takes more steps than others keeps
+    only its own worker, which in one batched program would keep all. Windows are stored in the full length, its half,
+    its quarter, ...: clips of whatever lengths share two or three programs a skeleton. An answer is that of `recover`
+    up to rounding.
+    """
+    workers = _processors() if workers is None else workers
+    if workers < 1:
+        raise ValueError(f"received {workers} workers: give at least 1")
+    return _outcomes(clips, workers, settings)
+
+
+def _outcomes(clips, workers, settings):
+    pool = ThreadPoolExecutor(workers)
+    waiting: deque[Future[Outcome]] = deque()
+    try:
+        for index, clip in enumerate(clips):
+            waiting.append(pool.submit(_outcome, index, clip, settings))
+            while waiting and (waiting[0].done() or len(waiting) >= AHEAD * workers):
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _outcome(index, clip, settings):
+    """One clip's; only what a clip can be guilty of is caught."""
+    masks = {"observed": clip.observed, "confidence": clip.confidence, "fps": clip.fps}
+    try:
+        recovery = recover(clip.positions, clip.skeleton, **masks, **settings, store=halving)
+    except (ValueError, RecoveryError) as error:
+        return Outcome(index, None, str(error))
+    return Outcome(index, recovery, None)
+
+
+def _processors():
+    """Those this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,53 @@
+"""Many clips at once against each alone."""
+
+import numpy as np
+import pytest
+from helpers import TOLERANCE, clip, hit
+
+from motionrecover import Motion, Skeleton, programs, recover, recover_many
+
+CHAIN = Skeleton("abcde", [(0, 1), (1, 2), (2, 3), (3, 4)])
+
+
+def motion(frames, seed):
+    return Motion(hit(clip(CHAIN, frames, seed), 0.1, seed), CHAIN, fps=60.0)
+
+
+@pytest.mark.parametrize("preset", ["robust", "str_yang2020"])
+def test_each_answer_is_that_of_the_clip_alone(preset):
+    clips = [motion(frames, seed) for seed, frames in enumerate((33, 41, 36, 30))]
+    programs._compile.cache_clear()
+    outcomes = list(recover_many(clips, workers=2, preset=preset, dtype="float64"))
+    assert programs._compile.cache_info().misses <= 4
+    assert [outcome.index for outcome in outcomes] == [0, 1, 2, 3]
+    for one, outcome in zip(clips, outcomes, strict=True):
+        alone = recover(one.positions, one.skeleton, fps=one.fps, preset=preset, dtype="float64")
+        size = np.std(one.positions - one.positions.mean((0, 1)))
+        np.testing.assert_allclose(outcome.recovery.positions, alone.positions, atol=TOLERANCE["many"] * size)
+        assert outcome.recovery.result == alone.result
+        assert outcome.reason is None
+
+
+def test_a_bad_clip_has_a_reason_and_the_others_an_answer():
+    hidden = motion(30, 1).with_positions(np.full((30, 5, 3), np.nan), "all lost")
+    outcomes = list(recover_many([motion(30, 0), hidden, motion(30, 2)], workers=2))
+    assert [outcome.recovery is None for outcome in outcomes] == [False, True, False]
+    assert "observed" in outcomes[1].reason
+
+
+def test_clips_are_read_as_they_are_needed():
+    read = []
+
+    def endless():
+        while True:
+            read.append(len(read))
+            yield motion(30, 0)
+
+    outcomes = recover_many(endless(), workers=1, max_steps=2)
+    assert next(outcomes).index == 0
+    assert len(read) <= 4
+    outcomes.close()
+
+
+def test_no_workers_are_refused(refused):
+    refused(lambda: recover_many([], workers=0), "0 workers", error=ValueError)
