@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from motionrecover import intake, robust, windows
+from motionrecover import finishing, intake, robust, windows
 from motionrecover.evidence.bone_lengths import mirrored_bones
 from motionrecover.evidence.swaps import Swap, find_swaps, undo
 from motionrecover.presets import Preset, Robust, find
@@ -229,9 +229,9 @@ def _robust(
     if fill_unseen:
         rest = skeleton.rest_lengths
         known = lengths if rest is None else np.where(np.isfinite(lengths), lengths, rest)
-        positions = robust.fill_unseen(positions, skeleton.edges, known)
+        positions = finishing.fill_unseen(positions, skeleton.edges, known)
     if plant_feet:
-        positions = robust.plant_feet(positions, skeleton, lengths, fps)
+        positions = finishing.plant_feet(positions, skeleton, lengths, fps)
     if max_gap is not None:
         positions = np.where(((run_lengths(~trusted) > max_gap) & ~there)[..., None], np.nan, positions)
     unknown = np.isnan(positions[..., 0])

@@ -6,11 +6,14 @@
     4. Samples without an intact one for some frames are also predicted from the other joints (evidence.regression);
        the two predictions are averaged by their variances. The smoother is sure beside intact samples, the regression
        in the middle of a gap.
-    5. Positions move onto the bone lengths, uncertain ones first (isometry.projection). A clip without noise shows
-       which bones are rigid, and only those are held. In a noisy one all are: that a length varies is the noise's
-       doing. There a length is the median in the smoothed positions, and by how much the bones still vary says how
-       uncertain the joints are beyond what smoothing finds.
-    6. What nothing speaks for stays NaN.
+    5. Inside gaps these are smoothed along time (whittaker): a regression knows frames and no paths. Without it, joints
+       jump by up to 5 cm in gaps of a noisy clip.
+    6. Positions move onto the bone lengths, uncertain ones first (isometry.projection). A clip without noise shows
+       which bones are rigid, and only those are held. In a noisy one all bones of a tree are: that a length varies is
+       the noise's doing. There a length is the median in the smoothed positions, by how much the bones still vary says
+       how uncertain the joints are beyond what smoothing finds (evidence.bone_errors), and the outcome is smoothed and
+       projected once more. Bones that close cycles, as between markers of a segment, are held as fast as they vary.
+    7. What nothing speaks for stays NaN.
 
 Lengths enter only as multiples of the median bone, times as frames of the clip: units, frame rate, origin and heading
 do not matter. Everything is float64: variances of missing and of noiseless samples are nine orders of magnitude apart.
@@ -21,7 +24,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -36,7 +38,6 @@ from motionrecover.evidence.bone_lengths import (
     scale_about,
     symmetric,
 )
-from motionrecover.evidence.contacts import find_contacts, foot_joints, plant
 from motionrecover.evidence.drive import estimate_drive
 from motionrecover.evidence.regression import bone_distance, predict_missing
 from motionrecover.intake import Intake
@@ -44,9 +45,10 @@ from motionrecover.isometry.projection import project
 from motionrecover.presets import Robust
 from motionrecover.programs import run
 from motionrecover.runs import run_lengths
-from motionrecover.skeleton import Skeleton, bone_lengths
+from motionrecover.skeleton import bone_lengths
 from motionrecover.solver import Result, Smoother, Solution, solve
 from motionrecover.solver.smoother import INTACT
+from motionrecover.whittaker import whittaker
 
 BODY = 3
 """Intact joints that place a body in space."""
@@ -106,7 +108,7 @@ def restore(
     store: Callable[[int, int | None], int],
     seconds: dict[str, float],
 ) -> Restored:
-    """Steps 2 to 6, for a clip whose joints are all observed somewhere.
+    """Steps 2 to 7, for a clip whose joints are all observed somewhere.
 
     `given`: the bone lengths are not estimates. `mirrored`: pairs of bones whose estimates are drawn together.
     `store`: the stored length for frames of a window.
@@ -150,7 +152,7 @@ def restore(
         exact = exact or noise < (2 * Smoother.FLOOR * scale) ** 2
         if exact:
             residual = np.where(kept[..., None], clip.merged - positions, 0)
-            bridged = _steady(residual, np.where(kept, 0, (FREE * scale) ** 2), drive)
+            bridged = whittaker(residual, np.where(kept, 0, (FREE * scale) ** 2), drive)
             short = run_lengths(~kept) < SHORT
             positions = np.where(short[..., None], positions + bridged, positions)
             positions = np.where(kept[..., None], clip.merged, positions)
@@ -178,7 +180,7 @@ def restore(
         length, varies = np.where(held, bones.length, 0), np.where(held, varies, (FREE * scale) ** 2)
         positions, left = _project(positions, covariance, length, varies, clip.edges, stored, seconds)
         if not exact:
-            steady = _steady(positions, INDEPENDENT * combined, drive)
+            steady = whittaker(positions, INDEPENDENT * combined, drive)
             positions, left = _project(steady, covariance, length, varies, clip.edges, stored, seconds)
     # What the other joints predict is near its bones' lengths to begin with: there the bones correct little.
     lost = _lost(kept)
@@ -202,79 +204,6 @@ def verdict(restored: Restored) -> Result:
     if np.isnan(restored.positions).any():
         return Result.partly_unknown
     return next((r for r in results if not bool(r == Result.converged)), Result.converged)
-
-
-def fill_unseen(positions: np.ndarray, edges: Any, bone_lengths: np.ndarray) -> np.ndarray:
-    """Positions (frame, joint, 3) with joints that are NaN throughout placed by their bones.
-
-    Between two neighbours: at its distances from both, bent away from the body. Beyond one: straight on from the bone
-    before, as a stretched limb. Only a guess: a bone does not say which way it points. A joint whose bones have no
-    finite length, or whose neighbours are not known, stays NaN.
-    """
-    out, edges = positions.copy(), [tuple(edge) for edge in edges]
-    length = {edge: l for edge, l in zip(edges, bone_lengths, strict=True) if np.isfinite(l) and l > 0}
-    unseen = [joint for joint in range(positions.shape[1]) if np.isnan(positions[:, joint]).all()]
-    near = {
-        joint: [(a + b - joint, length[a, b]) for a, b in edges if joint in (a, b) and (a, b) in length]
-        for joint in range(positions.shape[1])
-    }
-    for _ in unseen:
-        for joint in unseen:
-            known = [(k, l) for k, l in near[joint] if not np.isnan(out[:, k]).all()]
-            if not np.isnan(out[:, joint]).all() or not known:
-                continue
-            if len(known) > 1:
-                out[:, joint] = _on_the_circle(out, *known[0], *known[1])
-                continue
-            k, l = known[0]
-            before = [m for m, _ in near[k] if m != joint and not np.isnan(out[:, m]).all()]
-            if before:
-                along = out[:, k] - out[:, before[0]]
-                out[:, joint] = out[:, k] + l * along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
-    return out
-
-
-def _on_the_circle(positions, i, l_i, j, l_j):
-    """The point at distances l_i and l_j from two joints that is farthest from the body's middle."""
-    across = positions[:, j] - positions[:, i]
-    distance = np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
-    unit = across / distance
-    along = (distance**2 + l_i**2 - l_j**2) / (2 * distance)
-    centre = positions[:, i] + along * unit
-    out = centre - np.nanmean(positions, 1)
-    out -= np.sum(out * unit, -1, keepdims=True) * unit
-    radius = np.sqrt(np.maximum(l_i**2 - along**2, 0))
-    return centre + radius * out / np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-12)
-
-
-def plant_feet(positions: np.ndarray, skeleton: Skeleton, bone_lengths: np.ndarray, fps: float) -> np.ndarray:
-    """Positions (frame, joint, 3), y up, with feet held in place during contacts, and the bones at their lengths.
-
-    Feet go where `evidence.contacts.plant` wants them; the other joints follow as little as the bones demand.
-    """
-    feet = foot_joints(skeleton, positions)
-    contacts = find_contacts(positions, fps, feet)
-    if not contacts.any():
-        return positions
-    targets, weights = plant(positions, contacts, feet, fps)
-    held = weights > 0
-    moved = positions.copy()
-    moved[:, feet] = np.where(held[..., None], targets, positions[:, feet])
-    freedom = np.ones(positions.shape[:2])
-    freedom[:, feet] = np.where(held, 1e-4, 1.0)
-    # A frame without contact has nothing to follow.
-    covariance = np.eye(positions.shape[1]) * (freedom * held.any(1, keepdims=True))[:, None]
-    known = np.isfinite(bone_lengths) & (bone_lengths > 0)
-    now = skeleton.bone_lengths_of(positions)[:, known]
-    # Bones that do not keep their length anyway are not held to it.
-    rigid = np.nanmax(np.abs(now - bone_lengths[known]), 0) < 1e-3 * bone_lengths[known]
-    edges = tuple(edge for edge, k in zip(np.asarray(skeleton.edges)[known].tolist(), rigid, strict=True) if k)
-    complete = np.isfinite(moved).all((1, 2))
-    with jax.enable_x64(True):
-        lengths = jnp.asarray(bone_lengths[known][rigid])
-        followed, _ = project(jnp.asarray(moved[complete]), jnp.asarray(covariance[complete]), lengths, edges)
-    moved[complete] = np.asarray(followed)
-    return moved
 
 
 def _scale(data, bones):
@@ -319,7 +248,7 @@ def _with_regression(positions, variance, kept, drive, edges):
     weight = np.where(gaps & np.isfinite(doubt), variance / np.maximum(variance + doubt, np.finfo(float).tiny), 0)
     both = variance * np.where(np.isfinite(doubt), doubt, 0) / np.maximum(variance + doubt, np.finfo(float).tiny)
     positions, variance = positions + weight[..., None] * (predicted - positions), np.where(weight > 0, both, variance)
-    positions = np.where(gaps[..., None], _steady(positions, variance, drive), positions)
+    positions = np.where(gaps[..., None], whittaker(positions, variance, drive), positions)
     return positions, np.where(gaps, np.minimum(variance, _running_median(variance)), variance)
 
 
@@ -327,29 +256,6 @@ def _running_median(x):
     """Median of `STEADY` frames of x (frame, joint), mirrored at its ends."""
     padded = np.pad(x, ((STEADY // 2, STEADY // 2), (0, 0)), mode="symmetric")
     return np.median(np.lib.stride_tricks.sliding_window_view(padded, STEADY, axis=0), axis=-1)
-
-
-def _steady(positions, variance, drive):
-    """min_x sum |x_t - y_t|^2 / v_t + |x_t - 2 x_{t-1} + x_{t-2}|^2 / q_t for each joint.
-
-    The regression knows frames, not paths: without this, joints jump by up to 5 cm inside gaps of a noisy clip.
-    """
-    from scipy.linalg import solveh_banded  # a fifth of a second to import
-
-    least = 1e-6 * drive[drive > 0].min(initial=np.inf)
-    weight = 1 / np.maximum(variance, least)
-    # Two frames without drive at either end: no second difference reaches over them.
-    k = np.zeros((len(drive) + 2, drive.shape[1]))
-    k[2:-2] = 1 / np.maximum(drive[2:], least)
-    out = positions.copy()
-    for joint in range(positions.shape[1]):
-        last, middle, first = k[:-2, joint], k[1:-1, joint], k[2:, joint]
-        bands = np.zeros((3, len(drive)))
-        bands[2] = weight[:, joint] + last + 4 * middle + first
-        bands[1, 1:] = -2 * (last + middle)[1:]
-        bands[0, 2:] = last[2:]
-        out[:, joint] = solveh_banded(bands, weight[:, joint, None] * positions[:, joint])
-    return out
 
 
 def _hopeless(data, solutions, spans, scale):

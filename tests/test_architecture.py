@@ -8,11 +8,11 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "motionrecover"
 
 LAYERS = [
-    {"motion", "skeleton", "rig", "runs", "prox", "wavelets", "metrics", "corrupt", "synthesize"},
+    {"motion", "skeleton", "rig", "runs", "whittaker", "prox", "wavelets", "metrics", "corrupt", "synthesize"},
     {"solver", "isometry"},
     {"evidence"},
     {"presets", "programs", "intake", "windows", "io"},
-    {"robust"},
+    {"robust", "finishing"},
     {"recover"},
     {"many"},
     {"figures"},

@@ -1,0 +1,86 @@
+"""What `recover` does on request when the motion is found: joints never seen placed by their bones, feet planted."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from motionrecover.evidence.contacts import find_contacts, foot_joints, plant
+from motionrecover.isometry.projection import project
+from motionrecover.skeleton import Skeleton
+
+
+def fill_unseen(positions: np.ndarray, edges: Any, bone_lengths: np.ndarray) -> np.ndarray:
+    """Positions (frame, joint, 3) with joints that are NaN throughout placed by their bones.
+
+    Between two neighbours: at its distances from both, bent away from the body. Beyond one: straight on from the bone
+    before, as a stretched limb. Only a guess: a bone does not say which way it points. A joint whose bones have no
+    finite length, or whose neighbours are not known, stays NaN.
+    """
+    out, edges = positions.copy(), [tuple(edge) for edge in edges]
+    length = {edge: l for edge, l in zip(edges, bone_lengths, strict=True) if np.isfinite(l) and l > 0}
+    unseen = [joint for joint in range(positions.shape[1]) if np.isnan(positions[:, joint]).all()]
+    near = {
+        joint: [(a + b - joint, length[a, b]) for a, b in edges if joint in (a, b) and (a, b) in length]
+        for joint in range(positions.shape[1])
+    }
+    for _ in unseen:
+        for joint in unseen:
+            known = [(k, l) for k, l in near[joint] if not np.isnan(out[:, k]).all()]
+            if not np.isnan(out[:, joint]).all() or not known:
+                continue
+            if len(known) > 1:
+                out[:, joint] = _on_the_circle(out, *known[0], *known[1])
+                continue
+            k, l = known[0]
+            before = [m for m, _ in near[k] if m != joint and not np.isnan(out[:, m]).all()]
+            if before:
+                along = out[:, k] - out[:, before[0]]
+                out[:, joint] = out[:, k] + l * along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
+    return out
+
+
+def _on_the_circle(positions, i, l_i, j, l_j):
+    """The point at distances l_i and l_j from two joints that is farthest from the body's middle."""
+    across = positions[:, j] - positions[:, i]
+    distance = np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-12)
+    unit = across / distance
+    along = (distance**2 + l_i**2 - l_j**2) / (2 * distance)
+    centre = positions[:, i] + along * unit
+    out = centre - np.nanmean(positions, 1)
+    out -= np.sum(out * unit, -1, keepdims=True) * unit
+    radius = np.sqrt(np.maximum(l_i**2 - along**2, 0))
+    return centre + radius * out / np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-12)
+
+
+def plant_feet(positions: np.ndarray, skeleton: Skeleton, bone_lengths: np.ndarray, fps: float) -> np.ndarray:
+    """Positions (frame, joint, 3), y up, with feet held in place during contacts, and the bones at their lengths.
+
+    Feet go where `evidence.contacts.plant` wants them; the other joints follow as little as the bones demand.
+    """
+    feet = foot_joints(skeleton, positions)
+    contacts = find_contacts(positions, fps, feet)
+    if not contacts.any():
+        return positions
+    targets, weights = plant(positions, contacts, feet, fps)
+    held = weights > 0
+    moved = positions.copy()
+    moved[:, feet] = np.where(held[..., None], targets, positions[:, feet])
+    freedom = np.ones(positions.shape[:2])
+    freedom[:, feet] = np.where(held, 1e-4, 1.0)
+    # A frame without contact has nothing to follow.
+    covariance = np.eye(positions.shape[1]) * (freedom * held.any(1, keepdims=True))[:, None]
+    known = np.isfinite(bone_lengths) & (bone_lengths > 0)
+    now = skeleton.bone_lengths_of(positions)[:, known]
+    # Bones that do not keep their length anyway are not held to it.
+    rigid = np.nanmax(np.abs(now - bone_lengths[known]), 0) < 1e-3 * bone_lengths[known]
+    edges = tuple(edge for edge, k in zip(np.asarray(skeleton.edges)[known].tolist(), rigid, strict=True) if k)
+    complete = np.isfinite(moved).all((1, 2))
+    with jax.enable_x64(True):
+        lengths = jnp.asarray(bone_lengths[known][rigid])
+        followed, _ = project(jnp.asarray(moved[complete]), jnp.asarray(covariance[complete]), lengths, edges)
+    moved[complete] = np.asarray(followed)
+    return moved
