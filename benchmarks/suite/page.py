@@ -81,7 +81,7 @@ def _kinect(results: dict) -> str:
         hidden = [
             f"{_number(row[kind][f'{who} mm'])}" for kind in ("scattered", "runs") for who in ("robust", "spline")
         ]
-        bones = f"{100 * bones['before']:.0f} to {100 * bones['after']:.2g} %"
+        bones = f"{100 * bones['before']:.0f} to {100 * bones['after']:.3f} %"
         rows.append([name, bones, f"{still['ratio']:.1f}", str(row["lag"]), *hidden])
     head = ["recording", "bones", "jitter", "lag, frames", "scattered: `robust`", "spline", "runs: `robust`", "spline"]
     return table(head, rows)
