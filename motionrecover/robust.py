@@ -144,7 +144,7 @@ def restore(
         share = windows.shares(spans, trust)
         positions, intact, drive = (windows.blend(x, spans, share) for x in (found, probabilities, drives))
         parts = [np.sqrt(w[:, :, None] * w[:, None]) * P for w, P in zip(share, covariances, strict=True)]
-        covariance = windows.blend(parts, spans, [np.ones((len(P), 1)) for P in parts])
+        covariance = windows.blend(parts, spans, [np.ones(len(P)) for P in parts])
 
         intact = np.where(observed & ~_hopeless(data, solutions, spans, scale), intact, 0)
         kept = intact > INTACT
@@ -245,9 +245,10 @@ def _with_regression(positions, variance, kept, drive, edges):
         return positions, variance.copy()
     distance = bone_distance(edges, positions.shape[1])
     predicted, doubt = predict_missing(positions, kept, distance, gaps)
-    weight = np.where(gaps & np.isfinite(doubt), variance / np.maximum(variance + doubt, np.finfo(float).tiny), 0)
-    both = variance * np.where(np.isfinite(doubt), doubt, 0) / np.maximum(variance + doubt, np.finfo(float).tiny)
-    positions, variance = positions + weight[..., None] * (predicted - positions), np.where(weight > 0, both, variance)
+    used = gaps & np.isfinite(doubt)
+    weight = np.where(used, variance / np.maximum(variance + doubt, np.finfo(float).tiny), 0)
+    positions = positions + weight[..., None] * (predicted - positions)
+    variance = np.where(used, weight * np.where(used, doubt, 0), variance)
     positions = np.where(gaps[..., None], whittaker(positions, variance, drive), positions)
     return positions, np.where(gaps, np.minimum(variance, _running_median(variance)), variance)
 

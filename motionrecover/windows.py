@@ -21,7 +21,7 @@ def split(frames: int, window: int, overlap: int) -> list[slice]:
 
 
 def shares(spans: list[slice], trust: list[np.ndarray] | None = None) -> list[np.ndarray]:
-    """What each window counts for in each of its frames, (frame, 1), or (frame, joint) with its `trust` of that shape.
+    """What each window counts for in each of its frames, (frame,), or (frame, joint) with its `trust` of that shape.
 
     Shares rise linearly from a window's ends to its middle, so inside an overlap one answer turns into the other
     without a step; where a window knows little, at the open end of a gap, the other counts.
@@ -29,9 +29,9 @@ def shares(spans: list[slice], trust: list[np.ndarray] | None = None) -> list[np
     ramps = []
     for k, span in enumerate(spans):
         size = span.stop - span.start
-        ramp = np.minimum(np.arange(1.0, size + 1), np.arange(size, 0, -1))[:, None]
-        ramps.append(ramp if trust is None else ramp * trust[k])
-    total = np.zeros((spans[-1].stop, ramps[0].shape[1]))
+        ramp = np.minimum(np.arange(1.0, size + 1), np.arange(size, 0, -1))
+        ramps.append(ramp if trust is None else ramp[:, None] * trust[k])
+    total = np.zeros((spans[-1].stop, *ramps[0].shape[1:]))
     for ramp, span in zip(ramps, spans, strict=True):
         total[span] += ramp
     return [ramp / total[span] for ramp, span in zip(ramps, spans, strict=True)]
@@ -41,8 +41,5 @@ def blend(parts: list[np.ndarray], spans: list[slice], share: list[np.ndarray] |
     """One array (frame, ...) from the windows' arrays, which count by their `share`."""
     total = np.zeros((spans[-1].stop, *parts[0].shape[1:]), parts[0].dtype)
     for part, span, one in zip(parts, spans, share or shares(spans), strict=True):
-        if part.ndim == 1:
-            total[span] += (one[:, 0] * part).astype(part.dtype)
-        else:
-            total[span] += (one.reshape(*one.shape, *[1] * (part.ndim - 2)) * part).astype(part.dtype)
+        total[span] += (one.reshape(*one.shape, *[1] * (part.ndim - one.ndim)) * part).astype(part.dtype)
     return total

@@ -11,6 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from motionrecover.evidence.bone_lengths import BoneLengths
+from motionrecover.isometry.objective import ends
 from motionrecover.skeleton import bone_lengths
 
 HELD = 0.9
@@ -25,7 +26,7 @@ def smoothed_lengths(bones: BoneLengths, positions: np.ndarray, weights: np.ndar
 
     Noise of s an axis makes a measured bone s^2 / L longer; and what varies slowly has no mode.
     """
-    i, j = _ends(edges)
+    i, j = ends(edges)
     lengths, weight = bone_lengths(positions, edges), np.minimum(weights[:, i], weights[:, j])
     order = np.argsort(lengths, 0)
     below = np.cumsum(np.take_along_axis(weight, order, 0), 0)
@@ -39,7 +40,7 @@ def drift(length: np.ndarray, positions: np.ndarray, covariance: np.ndarray, wei
 
     A bone's excess is shared by its ends equally, and a joint has the mean of its bones' shares.
     """
-    i, j = _ends(edges)
+    i, j = ends(edges)
     expected = covariance[:, i, i] + covariance[:, j, j] - 2 * covariance[:, i, j]
     weight = np.minimum(weights[:, i], weights[:, j])
     excess = np.where(weight > 0, weight * ((bone_lengths(positions, edges) - length) ** 2 - expected), 0).sum(0)
@@ -61,7 +62,3 @@ def slack(measured: np.ndarray, bones: BoneLengths, joints: int) -> np.ndarray:
     known = np.isfinite(measured).any(0)
     own[known] = np.nanquantile(np.abs(measured - bones.length)[:, known], HELD, axis=0) / NORMAL
     return len(own) / joints * own**2 + (np.diff(bones.interval)[:, 0] / 3.92) ** 2
-
-
-def _ends(edges):
-    return np.asarray(edges, int).reshape(-1, 2).T

