@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from motionrecover.evidence.contacts import find_contacts, foot_joints, plant
-from motionrecover.isometry.projection import project
+from motionrecover.robust import FREE, project_blocks
 from motionrecover.skeleton import Skeleton
 
 
@@ -56,10 +55,18 @@ def _on_the_circle(positions, i, l_i, j, l_j):
     return centre + radius * out / np.maximum(np.linalg.norm(out, axis=-1, keepdims=True), 1e-12)
 
 
-def plant_feet(positions: np.ndarray, skeleton: Skeleton, bone_lengths: np.ndarray, fps: float) -> np.ndarray:
+def plant_feet(
+    positions: np.ndarray,
+    skeleton: Skeleton,
+    bone_lengths: np.ndarray,
+    fps: float,
+    stored: int,
+    seconds: dict[str, float],
+) -> np.ndarray:
     """Positions (frame, joint, 3), y up, with feet held in place during contacts, and the bones at their lengths.
 
-    Feet go where `evidence.contacts.plant` wants them; the other joints follow as little as the bones demand.
+    Feet go where `evidence.contacts.plant` wants them; the other joints follow as little as the bones demand. `stored`
+    frames at a time go through the program; its times are added to `seconds`.
     """
     feet = foot_joints(skeleton, positions)
     contacts = find_contacts(positions, fps, feet)
@@ -73,14 +80,13 @@ def plant_feet(positions: np.ndarray, skeleton: Skeleton, bone_lengths: np.ndarr
     freedom[:, feet] = np.where(held, 1e-4, 1.0)
     # A frame without contact has nothing to follow.
     covariance = np.eye(positions.shape[1]) * (freedom * held.any(1, keepdims=True))[:, None]
-    known = np.isfinite(bone_lengths) & (bone_lengths > 0)
-    now = skeleton.bone_lengths_of(positions)[:, known]
+    off = np.nanmax(np.abs(skeleton.bone_lengths_of(positions) - bone_lengths), 0, initial=0)
     # Bones that do not keep their length anyway are not held to it.
-    rigid = np.nanmax(np.abs(now - bone_lengths[known]), 0) < 1e-3 * bone_lengths[known]
-    edges = tuple(edge for edge, k in zip(np.asarray(skeleton.edges)[known].tolist(), rigid, strict=True) if k)
+    rigid = np.isfinite(bone_lengths) & (bone_lengths > 0) & (off < 1e-3 * bone_lengths)
+    lengths, slack = np.where(rigid, bone_lengths, 0), np.where(rigid, 0, (FREE * np.nanmedian(bone_lengths)) ** 2)
     complete = np.isfinite(moved).all((1, 2))
     with jax.enable_x64(True):
-        lengths = jnp.asarray(bone_lengths[known][rigid])
-        followed, _ = project(jnp.asarray(moved[complete]), jnp.asarray(covariance[complete]), lengths, edges)
-    moved[complete] = np.asarray(followed)
+        moved[complete], _ = project_blocks(
+            moved[complete], covariance[complete], lengths, slack, skeleton.edges, stored, seconds
+        )
     return moved

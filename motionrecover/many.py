@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from motionrecover.motion import Motion
-from motionrecover.programs import halving
 from motionrecover.recover import Recovery, RecoveryError, recover
 
 AHEAD = 2
@@ -38,9 +37,7 @@ def recover_many(clips: Iterable[Motion], *, workers: int | None = None, **setti
     ends it when the clips at hand are done, and what was yielded stays.
 
     The workers are threads: compiled programs let each other run, and a clip that takes more steps than others keeps
-    only its own worker, which in one batched program would keep all. Windows are stored in the full length, its half,
-    its quarter, ...: clips of whatever lengths share two or three programs a skeleton. An answer is that of `recover`
-    up to rounding.
+    only its own worker, which in one batched program would keep all. An answer is that of `recover`.
     """
     workers = _processors() if workers is None else workers
     if workers < 1:
@@ -66,7 +63,7 @@ def _outcome(index, clip, settings):
     """One clip's; only what a clip can be guilty of is caught."""
     masks = {"observed": clip.observed, "confidence": clip.confidence, "fps": clip.fps}
     try:
-        recovery = recover(clip.positions, clip.skeleton, **masks, **settings, store=halving)
+        recovery = recover(clip.positions, clip.skeleton, **masks, **settings)
     except (ValueError, RecoveryError) as error:
         return Outcome(index, None, str(error))
     return Outcome(index, recovery, None)

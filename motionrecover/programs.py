@@ -24,23 +24,18 @@ SLOW = 1.0
 
 
 def bucket(frames: int, window: int | None = None) -> int:
-    """Stored length for a clip: `frames` rounded up to one of eight sizes an octave (at most 1/8 more, from 8 on).
+    """Stored length for `frames` of a clip that is recovered in windows of at most `window` frames.
 
-    The same whatever the window. Clips of one bucket share a compiled program. Padding does not change an answer: see
-    `solver.Problem`.
+    The least of the window, its half, its quarter, ... that holds them: clips of whatever lengths share two or three
+    programs. Without a window, `frames` rounded up to one of eight sizes an octave (at most 1/8 more, from 8 on).
+    Padding does not change an answer: see `solver.Problem`.
     """
-    step = max(1, 1 << max(0, (frames - 1).bit_length() - 4))
-    return max(8, -(-frames // step) * step)
-
-
-def halving(frames: int, window: int | None) -> int:
-    """Stored length for one of many clips: the least of `window`, its half, its quarter, ... that holds the frames."""
     if window is None:
-        return 1 << max(3, (frames - 1).bit_length())
-    size = window
-    while size // 2 >= max(frames, 8):
-        size //= 2
-    return size
+        step = max(1, 1 << max(0, (frames - 1).bit_length() - 4))
+        return max(8, -(-frames // step) * step)
+    while window // 2 >= max(frames, 8):
+        window //= 2
+    return window
 
 
 def keep_in(folder: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -100,7 +100,6 @@ def recover(
     dtype: Any = None,
     throw: bool = True,
     verbose: bool = False,
-    store: Callable[[int, int | None], int] = bucket,
 ) -> Recovery:
     """Recover the motion behind corrupted joint positions.
 
@@ -111,8 +110,7 @@ def recover(
     estimated from D. `fps`: frames a second, kept in the answer; no preset depends on it. `max_steps`: in place of the
     preset's. `dtype` of the answer: float32 (the default) or float64; the published models also compute in it,
     `robust` always in float64. `throw`: raise `RecoveryError` when the verdict is that there is no usable answer,
-    instead of returning it with the verdict. `verbose`: print the trace. `store`: the stored length for frames of a
-    window, on which the answer does not depend: `programs.bucket` or `programs.halving`.
+    instead of returning it with the verdict. `verbose`: print the trace.
 
     Of `robust` only: `max_gap`: gaps of more frames than this stay NaN; left out, a gap is filled however long, and
     `uncertainty` says how far to trust it. `fill_unseen`: joints that no frame shows are placed by their bones instead
@@ -137,13 +135,13 @@ def recover(
     if isinstance(preset, Robust):
         if plant_feet and fps is None:
             raise ValueError("received plant_feet without fps: contacts are found by speed, give frames a second")
-        recovery = _robust(*arguments, preset, steps, dtype, fps, store, max_gap, fill_unseen, plant_feet, symmetric)
+        recovery = _robust(*arguments, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet, symmetric)
     elif max_gap is not None or fill_unseen or plant_feet or symmetric:
         raise ValueError(
             f"received max_gap, fill_unseen, plant_feet or symmetric for {preset.name}: they are options of robust"
         )
     else:
-        recovery = _published(*arguments, preset, steps, dtype, fps, store)
+        recovery = _published(*arguments, preset, steps, dtype, fps)
     if throw and _useless(recovery.result):
         raise RecoveryError(recovery.message)
     if verbose:
@@ -161,7 +159,6 @@ def _robust(
     steps,
     dtype,
     fps,
-    store,
     max_gap,
     fill_unseen,
     plant_feet,
@@ -201,7 +198,7 @@ def _robust(
     pairs = [(merged.get(a), merged.get(b)) for a, b in mirrored_bones(skeleton)] if paired else []
     pairs = [(a, b) for a, b in pairs if a is not None and b is not None]
     seconds = {"compile": 0.0, "run": 0.0}
-    restored = robust.restore(clip, preset, bone_lengths is not None, pairs, steps, store, seconds)
+    restored = robust.restore(clip, preset, bone_lengths is not None, pairs, steps, seconds)
     verdict = robust.verdict(restored)
 
     positions, variance, intact = (
@@ -231,7 +228,8 @@ def _robust(
         known = lengths if rest is None else np.where(np.isfinite(lengths), lengths, rest)
         positions = finishing.fill_unseen(positions, skeleton.edges, known)
     if plant_feet:
-        positions = finishing.plant_feet(positions, skeleton, lengths, fps)
+        stored = bucket(len(data), preset.window)
+        positions = finishing.plant_feet(positions, skeleton, lengths, fps, stored, seconds)
     if max_gap is not None:
         positions = np.where(((run_lengths(~trusted) > max_gap) & ~there)[..., None], np.nan, positions)
     unknown = np.isnan(positions[..., 0])
@@ -260,7 +258,7 @@ def _robust(
     )
 
 
-def _published(D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps, store):
+def _published(D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps):
     """The answer of a published model: windows, solved one by one and faded into each other."""
     printed = preset.initialisation == "printed"
     clip = intake.take_in(
@@ -277,7 +275,7 @@ def _published(D, skeleton, observed, confidence, bone_lengths, preset, steps, d
     frames = len(clip.data)
     window = frames if printed or preset.window is None else preset.window
     spans = windows.split(frames, window, min(preset.overlap, window - 1))
-    stored = store(min(frames, window), preset.window)
+    stored = bucket(min(frames, window), preset.window)
     positions, outliers, solutions, seconds = [], [], [], {"compile": 0.0, "run": 0.0}
     # float64 is allowed for float32 data too: see `prox.singular_value_threshold`.
     with jax.enable_x64(True):

@@ -21,8 +21,8 @@ do not matter. Everything is float64: variances of missing and of noiseless samp
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import jax
@@ -40,10 +40,12 @@ from motionrecover.evidence.bone_lengths import (
 )
 from motionrecover.evidence.drive import estimate_drive
 from motionrecover.evidence.regression import bone_distance, predict_missing
+from motionrecover.evidence.rest_pose import begins_at_rest
 from motionrecover.intake import Intake
+from motionrecover.isometry.objective import Edges
 from motionrecover.isometry.projection import project
 from motionrecover.presets import Robust
-from motionrecover.programs import run
+from motionrecover.programs import bucket, run
 from motionrecover.runs import run_lengths
 from motionrecover.skeleton import bone_lengths
 from motionrecover.solver import Result, Smoother, Solution, solve
@@ -105,13 +107,11 @@ def restore(
     given: bool,
     mirrored: Sequence[tuple[int, int]],
     max_steps: int,
-    store: Callable[[int, int | None], int],
     seconds: dict[str, float],
 ) -> Restored:
     """Steps 2 to 7, for a clip whose joints are all observed somewhere.
 
     `given`: the bone lengths are not estimates. `mirrored`: pairs of bones whose estimates are drawn together.
-    `store`: the stored length for frames of a window.
     """
     observed = clip.merged_weights > 0
     data = np.where(observed[..., None], clip.merged, np.nan)
@@ -121,13 +121,20 @@ def restore(
     usual = float(np.quantile(spread, 0.25)) if len(spread) else np.inf
     scale = _scale(data, bones)
     exact = usual < Smoother.FLOOR * scale
+    at_rest = exact and begins_at_rest(data, lengths, bones.length, Smoother.FLOOR * scale)
+    if at_rest:
+        clip = replace(clip, merged_weights=np.where(np.arange(len(data))[:, None] > 0, clip.merged_weights, 0))
+        observed, data[0] = clip.merged_weights > 0, np.nan
     # A mode's spread does not bound noise: with it, still joints of a Kinect recording keep 2.6 mm of jitter, not 1.
     noise_max = usual if exact else np.inf
 
     window = preset.window or len(data)
     spans = windows.split(len(data), window, min(preset.overlap, window - 1))
-    stored = store(spans[0].stop - spans[0].start, preset.window)
-    together = evidence(lengths, bones)
+    stored = bucket(spans[0].stop - spans[0].start, preset.window)
+    # Where each frame keeps each length, as in a BVH file, lengths do not tell a thrown rotation from a true one: with
+    # their word for it, most of 0.3 % thrown rotations stay, 5 mm before and 3 mm after; without, 0.03 mm.
+    tell = np.nanmax(np.abs(lengths - bones.length), initial=0) > Smoother.FLOOR * scale
+    together = evidence(lengths, bones) if tell else np.zeros(lengths.shape)
     pieces, solutions = [], []
     with jax.enable_x64(True):
         for span in spans:
@@ -178,10 +185,12 @@ def restore(
             covariance, combined = covariance + np.diag(off), combined + off
         held &= np.isfinite(bones.length)
         length, varies = np.where(held, bones.length, 0), np.where(held, varies, (FREE * scale) ** 2)
-        positions, left = _project(positions, covariance, length, varies, clip.edges, stored, seconds)
+        positions, left = project_blocks(positions, covariance, length, varies, clip.edges, stored, seconds)
         if not exact:
             steady = whittaker(positions, INDEPENDENT * combined, drive)
-            positions, left = _project(steady, covariance, length, varies, clip.edges, stored, seconds)
+            positions, left = project_blocks(steady, covariance, length, varies, clip.edges, stored, seconds)
+    if at_rest:
+        positions[0], left[0], intact[0], kept[0] = clip.merged[0], 0, 1, True
     # What the other joints predict is near its bones' lengths to begin with: there the bones correct little.
     lost = _lost(kept)
     return Restored(
@@ -282,8 +291,16 @@ def _lost(kept):
     return run_lengths(few) > LONG if kept.any() else np.ones_like(few)
 
 
-def _project(positions, covariance, lengths, slack, edges, block, seconds):
-    """`project` in blocks of one size so that one program does."""
+def project_blocks(
+    positions: np.ndarray,
+    covariance: np.ndarray,
+    lengths: np.ndarray,
+    slack: np.ndarray,
+    edges: Edges,
+    block: int,
+    seconds: dict[str, float],
+) -> list[np.ndarray]:
+    """The two answers of `isometry.projection.project`, in blocks of so many frames, so that one program does."""
     out = []
     for start in range(0, len(positions), block):
         part = slice(start, start + block)

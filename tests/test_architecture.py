@@ -8,7 +8,19 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "motionrecover"
 
 LAYERS = [
-    {"motion", "skeleton", "rig", "runs", "whittaker", "prox", "wavelets", "metrics", "corrupt", "synthesize"},
+    {
+        "motion",
+        "skeleton",
+        "rig",
+        "rotations",
+        "runs",
+        "whittaker",
+        "prox",
+        "wavelets",
+        "metrics",
+        "corrupt",
+        "synthesize",
+    },
     {"solver", "isometry"},
     {"evidence"},
     {"presets", "programs", "intake", "windows", "io"},

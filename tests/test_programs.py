@@ -63,9 +63,13 @@ def test_what_takes_long_is_named(monkeypatch, caplog):
 
 
 @pytest.mark.parametrize("frames", [1, 49, 50, 51, 100, 127, 201, 400])
-def test_halving_holds_the_clip(frames):
-    stored = programs.halving(frames, 400)
+def test_a_bucket_holds_the_clip(frames):
+    stored = programs.bucket(frames, 400)
     assert stored in (400, 200, 100, 50, 25, 12)
-    assert frames <= stored
-    assert stored // 2 < max(frames, 8)
-    assert programs.halving(frames, None) >= frames
+    assert stored // 2 < max(frames, 8) <= max(stored, 8)
+
+
+@pytest.mark.parametrize("frames", [1, 7, 8, 9, 100, 272, 1000, 6784])
+def test_without_a_window_there_is_little_to_spare(frames):
+    assert frames <= programs.bucket(frames) <= max(8, frames * 9 / 8)
+    assert programs.bucket(programs.bucket(frames)) == programs.bucket(frames)

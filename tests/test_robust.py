@@ -1,8 +1,11 @@
 """The robust preset through the front door: what it gives back, what it says about it, and its symmetries."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from helpers import SKELETONS, clip, hit, lengths_of
+from helpers import SKELETONS, TOLERANCE, clip, hit, lengths_of
+from scipy.spatial.transform import Rotation
 
 from motionrecover import PRESETS, Skeleton, corrupt, metrics, recover, synthesize
 from motionrecover.evidence.bone_lengths import mirrored_bones
@@ -103,6 +106,37 @@ def test_short_clips(frames):
     found = recover(data, SKELETON, bone_lengths=LENGTHS)
     assert np.isfinite(found.positions).all()
     assert error(found, TRUTH[:frames]).mean() <= np.linalg.norm(data - TRUTH[:frames], axis=-1).mean() + 1e-6
+
+
+def test_padding_changes_nothing(found):
+    """Stored in 104 frames instead of 100."""
+    other = recover(HIT, SKELETON, preset=replace(PRESETS["robust"], window=None), dtype=np.float64)
+    np.testing.assert_allclose(other.positions, found.positions, atol=TOLERANCE["padding"] * np.std(TRUTH))
+
+
+def test_thrown_rotations_are_repaired_though_bones_keep_their_lengths():
+    """As in a BVH file: a joint turned wrongly takes along all that hangs from it."""
+    rng, data = np.random.default_rng(0), TRUTH.copy()
+    below = {child: [child] for _, child in SKELETON.edges}
+    for parent, child in reversed(SKELETON.edges):
+        if parent in below:
+            below[parent] += below[child]
+    for frame in range(2, FRAMES - 2, 6):
+        joint = rng.choice([parent for parent, _ in SKELETON.edges if parent in below])
+        moved = below[joint][1:]
+        turned = (data[frame, moved] - data[frame, joint]) @ Rotation.random(random_state=rng).as_matrix()
+        data[frame, moved] = data[frame, joint] + turned
+    assert np.linalg.norm(data - TRUTH, axis=-1).mean() > 5e-3
+    np.testing.assert_allclose(lengths_of(SKELETON, data), LENGTHS)
+    assert error(recover(data, SKELETON, dtype=np.float64)).mean() < 1e-4
+
+
+def test_a_rest_pose_before_the_motion_stays_and_spoils_nothing():
+    pose = TRUTH[FRAMES // 2] + [0.2, 0.1, 0.0]
+    found = recover(np.concatenate([pose[None], HIT[:-1]]), SKELETON, dtype=np.float64)
+    np.testing.assert_array_equal(found.positions[0], pose)
+    assert (found.changed[0] == Change.UNTOUCHED).all()
+    assert error(found, np.concatenate([pose[None], TRUTH[:-1]])).mean() < 1e-3
 
 
 def test_windows_leave_no_seams():

@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from benchmarks.reference import algorithm1
 from motionrecover.intake import matrix_from, positions_from
 from motionrecover.presets import PUBLISHED
-from motionrecover.programs import bucket
 from motionrecover.solver import Result, Solver, solve
 from motionrecover.wavelets import wavedec
 
@@ -216,9 +215,3 @@ def test_other_weights_compile_nothing_anew():
     for weight in (1.0, 100.0):
         counted(replace(PUBLISHED["str_yang2020"], isometry_weight=weight, penalty=weight).solver(problem), problem)
     assert len(traces) == 1
-
-
-@pytest.mark.parametrize("frames", [1, 7, 8, 9, 100, 272, 1000, 6784])
-def test_bucket_holds_the_clip_with_little_to_spare(frames):
-    assert frames <= bucket(frames) <= max(8, frames * 9 / 8)
-    assert bucket(bucket(frames)) == bucket(frames)

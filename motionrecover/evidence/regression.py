@@ -29,6 +29,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from motionrecover.rotations import nearest_rotation
 from motionrecover.runs import frames_away, runs_of
 
 # Chosen on 16 clips of the CMU database with two draws of gap3x240 and gap3x60 at 120 Hz and gap3x15 at 30 Hz, mean
@@ -248,9 +249,7 @@ def _rigid_frames(points: np.ndarray, weights: np.ndarray, learnt: int) -> tuple
     def fit(rows: slice, shape: np.ndarray) -> np.ndarray:
         A = np.einsum("tsi,ts,sj->tij", points[rows], weights[rows], shape)
         A += (1e-8 * np.linalg.norm(A, axis=(1, 2)) + 1e-18 * size)[:, None, None] * np.eye(3)
-        U, _, V = np.linalg.svd(A)
-        U[..., -1] *= np.sign(np.linalg.det(U @ V))[:, None]
-        return U @ V
+        return nearest_rotation(A)
 
     shape = points[fullest]
     for _ in range(4):

@@ -23,7 +23,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motionrecover.io.kinematics import about, euler_rotations, forward, nearest_rotation, skew
+from motionrecover.io.kinematics import euler_rotations, forward
+from motionrecover.rotations import about, nearest_rotation, skew
 
 CLOSE = 1e-5
 """Metres. Nearer is not asked for: float32 positions 100 m from the origin are off by as much."""

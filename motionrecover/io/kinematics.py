@@ -1,10 +1,12 @@
-"""Rotations and forward kinematics for the formats that store rotations; vectorised over frames."""
+"""Angles and forward kinematics for the formats that store rotations; vectorised over frames."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+
+from motionrecover.rotations import about
 
 LOCKED = 1e-4
 """Cosine of the middle angle below which the first and the last turn about one axis and only their sum shows."""
@@ -52,28 +54,6 @@ def continuous_angles(rotations: np.ndarray, order: str, near: np.ndarray) -> np
 def _apart(angles, others):
     """Squared distance between sets of angles (..., 3), full turns aside."""
     return np.sum(np.square((angles - others + np.pi) % (2 * np.pi) - np.pi), -1)
-
-
-def about(vectors: np.ndarray) -> np.ndarray:
-    """Rotation matrices (..., 3, 3) about vectors (..., 3) by their length in radians (Rodrigues)."""
-    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
-    cross = skew(vectors)
-    # sin(t)/t and (1 - cos(t))/t^2, at 0 too
-    return np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * np.sinc(angle / (2 * np.pi)) ** 2 * (cross @ cross)
-
-
-def skew(vectors: np.ndarray) -> np.ndarray:
-    """Matrices (..., 3, 3) that take the cross product of vectors (..., 3) with what they multiply."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], -1).reshape(*vectors.shape, 3)
-
-
-def nearest_rotation(matrices: np.ndarray) -> np.ndarray:
-    """argmax over rotations R of trace(R^T M) for each M (..., 3, 3): orthogonal Procrustes (Kabsch 1976)."""
-    u, _, vt = np.linalg.svd(matrices)
-    u[..., 2] *= np.linalg.det(u @ vt)[..., None]
-    return u @ vt
 
 
 def forward(parents: Sequence[int], translations: np.ndarray, rotations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
