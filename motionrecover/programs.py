@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+import os
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -54,6 +56,8 @@ def run(function: Callable, arrays: dict[str, Any], static: dict[str, Any], seco
     """`function` of named arrays (any pytrees) and of static values, compiled for their shapes; the answer in NumPy.
 
     The time of compiling and running is added to `seconds`. To be called under `jax.enable_x64`.
+
+    Raises `MemoryError` for a program that needs more memory than the device has.
     """
     leaves, structure = jax.tree.flatten(arrays)
     leaves = [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf) for leaf in leaves]
@@ -89,7 +93,27 @@ def _compile(function, structure, shapes, static):
         program = _compiled(lowered)
     finally:
         timer.cancel()
+    needed, there = _needed(program), _memory()
+    if needed > there:
+        raise MemoryError(
+            f"received arrays of {', '.join(sizes)}, for which {function.__name__} needs {needed / 1e9:.3g} GB of "
+            f"memory, and there are {there / 1e9:.3g} GB: recover the clip in windows or in parts"
+        )
     return program, returned[0]
+
+
+def _needed(program) -> int:
+    """Bytes that a program uses while it runs."""
+    use = program.memory_analysis()
+    return use.temp_size_in_bytes + use.argument_size_in_bytes + use.output_size_in_bytes
+
+
+def _memory() -> int:
+    """Bytes of the device's memory."""
+    device = jax.devices()[0]
+    if device.platform == "cpu":
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") if hasattr(os, "sysconf") else sys.maxsize
+    return (device.memory_stats() or {}).get("bytes_limit", sys.maxsize)
 
 
 def _compiled(lowered):

@@ -25,6 +25,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -128,31 +129,16 @@ def restore(
     # A mode's spread does not bound noise: with it, still joints of a Kinect recording keep 2.6 mm of jitter, not 1.
     noise_max = usual if exact else np.inf
 
-    window = preset.window or len(data)
-    spans = windows.split(len(data), window, min(preset.overlap, window - 1))
-    stored = bucket(spans[0].stop - spans[0].start, preset.window)
     # Where each frame keeps each length, as in a BVH file, lengths do not tell a thrown rotation from a true one: with
     # their word for it, most of 0.3 % thrown rotations stay, 5 mm before and 3 mm after; without, 0.03 mm.
     tell = np.nanmax(np.abs(lengths - bones.length), initial=0) > Smoother.FLOOR * scale
     together = evidence(lengths, bones) if tell else np.zeros(lengths.shape)
-    pieces, solutions = [], []
     with jax.enable_x64(True):
-        for span in spans:
-            solution, origin = _solve(clip, span, stored, together[span], bones, scale, noise_max, max_steps, seconds)
-            size, state = span.stop - span.start, solution.state
-            found = np.asarray(state.positions)[:size] + origin
-            drive = np.asarray(state.activity)[:size, None] * np.diag(state.drive)
-            pieces.append((found, np.asarray(state.covariance)[:size], np.asarray(state.intact)[:size], drive))
-            solutions.append(solution)
-        # By precision, too: a gap that reaches beyond a window is known to the other.
-        found, covariances, probabilities, drives = map(list, zip(*pieces, strict=True))
-        least = (0.01 * Smoother.FLOOR * scale) ** 2
-        trust = [1 / np.maximum(np.einsum("tjj->tj", P), least) for P in covariances]
-        share = windows.shares(spans, trust)
-        positions, intact, drive = (windows.blend(x, spans, share) for x in (found, probabilities, drives))
-        parts = [np.sqrt(w[:, :, None] * w[:, None]) * P for w, P in zip(share, covariances, strict=True)]
-        covariance = windows.blend(parts, spans, [np.ones(len(P)) for P in parts])
-
+        window = preset.window or len(data)
+        spans = windows.split(len(data), window, min(preset.overlap, window - 1))
+        stored = bucket(spans[0].stop - spans[0].start, preset.window)
+        solved = _in_windows(clip, spans, stored, together, bones, scale, noise_max, max_steps, seconds)
+        positions, covariance, intact, drive, solutions = solved
         intact = np.where(observed & ~_hopeless(data, solutions, spans, scale), intact, 0)
         kept = intact > INTACT
         noise = np.median([solution.state.noise for solution in solutions])
@@ -175,14 +161,16 @@ def restore(
             if not exact:
                 bones = smoothed_lengths(bones, positions, weights, clip.edges)
             bones = symmetric(bones, mirrored)
-        covariance = covariance * ratio[:, :, None] * ratio[:, None]
+        covariance *= ratio[:, :, None]
+        covariance *= ratio[:, None]
         held, varies = bones.rigid, np.zeros(len(bones.length))
         if len(clip.edges) >= data.shape[1]:
             varies = slack(measured, bones, data.shape[1])
         elif not exact:
             held = np.ones(len(held), bool)
             off = drift(bones.length, positions, covariance, weights, clip.edges)
-            covariance, combined = covariance + np.diag(off), combined + off
+            covariance += np.diag(off)
+            combined += off
         held &= np.isfinite(bones.length)
         length, varies = np.where(held, bones.length, 0), np.where(held, varies, (FREE * scale) ** 2)
         positions, left = project_blocks(positions, covariance, length, varies, clip.edges, stored, seconds)
@@ -223,6 +211,28 @@ def _scale(data, bones):
     known = data[np.isfinite(data).all(-1)]
     across = np.median(np.linalg.norm(known - np.median(known, 0), axis=-1)) if len(known) else 0
     return float(across) if across > 0 else 1.0
+
+
+def _in_windows(clip, spans, stored, together, bones, scale, noise_max, max_steps, seconds):
+    """Positions, covariance, intact, drive (frame, ...) blended from the windows', and these without covariance."""
+    found, covariances, probabilities, drives, solutions = [], [], [], [], []
+    for span in spans:
+        solution, origin = _solve(clip, span, stored, together[span], bones, scale, noise_max, max_steps, seconds)
+        size, state = span.stop - span.start, solution.state
+        found.append(np.asarray(state.positions)[:size] + origin)
+        covariances.append(np.asarray(state.covariance)[:size])
+        probabilities.append(np.asarray(state.intact)[:size])
+        drives.append(np.asarray(state.activity)[:size, None] * np.diag(state.drive))
+        solutions.append(eqx.tree_at(lambda solution: solution.state.covariance, solution, None))
+    # By precision, too: a gap that reaches beyond a window is known to the other.
+    least = (0.01 * Smoother.FLOOR * scale) ** 2
+    share = windows.shares(spans, [1 / np.maximum(np.einsum("tjj->tj", P), least) for P in covariances])
+    positions, intact, drive = (windows.blend(x, spans, share) for x in (found, probabilities, drives))
+    covariance = np.zeros((len(positions), *covariances[0].shape[1:]))
+    for span, w in zip(spans, share, strict=True):
+        root = np.sqrt(w)
+        covariance[span] += root[:, :, None] * root[:, None] * covariances.pop(0)
+    return positions, covariance, intact, drive, solutions
 
 
 def _solve(clip, span, stored, together, bones, scale, noise_max, max_steps, seconds):

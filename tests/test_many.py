@@ -1,5 +1,9 @@
 """Many clips at once against each alone."""
 
+import signal
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from helpers import clip, hit
@@ -50,3 +54,22 @@ def test_clips_are_read_as_they_are_needed():
 
 def test_no_workers_are_refused(refused):
     refused(lambda: recover_many([], workers=0), "0 workers", error=ValueError)
+
+
+def test_ctrl_c_ends_it_soon_and_keeps_what_was_yielded():
+    program = (
+        "import numpy as np, signal, sys, motionrecover as m\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "chain = m.Skeleton('abc', [(0, 1), (1, 2)])\n"
+        "clip = m.Motion(np.random.default_rng(0).normal(size=(40, 3, 3)), chain, 30.0)\n"
+        "for outcome in m.recover_many(clip for _ in range(10**6)):\n"
+        "    print(outcome.index, flush=True)\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    lines = [process.stdout.readline() for _ in range(3)]
+    process.send_signal(signal.SIGINT)
+    _, error = process.communicate(timeout=20)
+    assert lines == ["0\n", "1\n", "2\n"]
+    assert "KeyboardInterrupt" in error

@@ -62,6 +62,19 @@ def test_what_takes_long_is_named(monkeypatch, caplog):
     assert "compiling _twice for arrays of 5x4" in caplog.text
 
 
+def test_what_does_not_fit_into_memory_is_refused_with_its_size(monkeypatch, refused):
+    monkeypatch.setattr(programs, "_memory", lambda: 1000)
+    programs._compile.cache_clear()
+    arrays, seconds = {"x": np.zeros((500, 10))}, {"compile": 0.0, "run": 0.0}
+    refused(
+        lambda: programs.run(_twice, arrays, {"factor": 2.0}, seconds),
+        "500x10",
+        "there are 1e-06 GB",
+        "windows",
+        error=MemoryError,
+    )
+
+
 @pytest.mark.parametrize("frames", [1, 49, 50, 51, 100, 127, 201, 400])
 def test_a_bucket_holds_the_clip(frames):
     stored = programs.bucket(frames, 400)
