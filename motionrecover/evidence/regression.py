@@ -28,6 +28,7 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from motionrecover.rotations import nearest_rotation
 from motionrecover.runs import frames_away, runs_of
@@ -172,7 +173,8 @@ def _regress(
             if kernel.exponential:
                 K += kernel.exponential * np.exp(-far / (2 * kernel.length**2))
             # By factors: the variance, a small difference of large numbers, keeps two more digits than with K^-1.
-            factor = np.linalg.inv(np.linalg.cholesky(K[:learnt] + kernel.noise * np.eye(learnt)))
+            root = np.linalg.cholesky(K[:learnt] + kernel.noise * np.eye(learnt))
+            factor = solve_triangular(root, np.eye(learnt), lower=True, check_finite=False)
             inverse, asked = factor.T @ factor, K[learnt:]
             coefficients = inverse @ local
             prior = 1 + kernel.linear * squares[learnt:] + kernel.exponential + kernel.time
