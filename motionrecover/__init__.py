@@ -4,7 +4,15 @@ from importlib.metadata import version
 
 from motionrecover import corrupt, metrics
 from motionrecover.evidence.rigid_graph import infer_graph
-from motionrecover.io import MotionFormatError, MotionFormatWarning, load, save
+from motionrecover.io import (
+    MotionFormatError,
+    MotionFormatWarning,
+    from_xarray,
+    load,
+    save,
+    save_skeleton,
+    to_xarray,
+)
 from motionrecover.many import Outcome, recover_many
 from motionrecover.motion import Motion
 from motionrecover.presets import PRESETS, Preset
@@ -27,11 +35,14 @@ __all__ = [
     "Result",
     "Skeleton",
     "corrupt",
+    "from_xarray",
     "infer_graph",
     "load",
     "metrics",
     "recover",
     "recover_many",
     "save",
+    "save_skeleton",
     "synthesize",
+    "to_xarray",
 ]

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from motionrecover.standards import STANDARDS, table
+
 ZERO_LENGTH = 1e-6
 """Bones shorter than this (metres) have no direction: their two joints are one joint to the solver."""
 
@@ -108,10 +110,10 @@ class Skeleton:
 
     @classmethod
     def standard(cls, name: str) -> Skeleton:
-        """One of the named standards: cmu31, cmu25, cmu21, kinect25, smpl24."""
+        """One of the named standards, `STANDARDS`."""
         if name not in STANDARDS:
             raise ValueError(f"received skeleton {name!r}: the standards are {', '.join(STANDARDS)}")
-        return cls.from_parents(*_parse(STANDARDS[name]))
+        return cls(*table(name))
 
     @property
     def parents(self) -> tuple[int, ...]:
@@ -183,12 +185,18 @@ class Skeleton:
         """The named joints in the given order; each is tied to its nearest kept ancestor.
 
         Rest offsets are kept where no joint between two kept ones is left out: a bone across a moving joint is not
-        rigid. Raises `ValueError` for unknown names and for general graphs, which have no ancestors.
+        rigid. A general graph has no ancestors: of its bones those between kept joints stay. Raises `ValueError` for
+        unknown names.
         """
         for name in names:
             if name not in self.names:
                 raise ValueError(f"received joint {name!r}: the skeleton has {', '.join(self.names)}")
-        kept, parents = [self.names.index(name) for name in names], self.parents
+        try:
+            parents = self.parents
+        except ValueError:
+            bones = ((self.names[i], self.names[j]) for i, j in self.edges)
+            return Skeleton(names, [bone for bone in bones if {*bone} <= {*names}])
+        kept = [self.names.index(name) for name in names]
         ancestors = []
         for joint in kept:
             at = parents[joint]
@@ -227,40 +235,3 @@ def _right(side: str) -> str:
     """`right` for `left`, r for l, in the same case."""
     right = "right" if len(side) > 1 else "r"
     return right.upper() if side.isupper() else right.title() if side.istitle() else right
-
-
-def _parse(table: str) -> tuple[list[str], list[int]]:
-    """Names and parents from tokens `joint<parent`; without `<parent`, the parent is the joint before."""
-    tokens = [token.partition("<") for token in table.split()]
-    names = [name for name, _, _ in tokens]
-    return names, [names.index(parent) if parent else j - 1 for j, (_, _, parent) in enumerate(tokens)]
-
-
-_CMU_LEGS_AND_TRUNK = """
-    root lhipjoint lfemur ltibia lfoot ltoes rhipjoint<root rfemur rtibia rfoot rtoes
-    lowerback<root upperback thorax lowerneck upperneck head """
-
-STANDARDS = {
-    # CMU motion capture database, ASF/AMC: a joint is named after the bone that ends in it.
-    "cmu31": _CMU_LEGS_AND_TRUNK
-    + """lclavicle<thorax lhumerus lradius lwrist lhand lfingers lthumb<lwrist
-    rclavicle<thorax rhumerus rradius rwrist rhand rfingers rthumb<rwrist""",
-    # cmu31 without the six hand and finger joints (Yang et al. 2020, Sec. IV-B).
-    "cmu25": _CMU_LEGS_AND_TRUNK + "lclavicle<thorax lhumerus lradius lwrist rclavicle<thorax rhumerus rradius rwrist",
-    # The 21 joints of cmu31 that the learned systems keep (Li et al. 2020, Fig. 3; Choi et al. 2024, Fig. 2).
-    "cmu21": """root lhipjoint lfemur ltibia ltoes rhipjoint<root rfemur rtibia rtoes
-    lowerback<root upperback thorax upperneck
-    lclavicle<thorax lhumerus lwrist lhand rclavicle<thorax rhumerus rwrist rhand""",
-    # Microsoft Kinect for Windows SDK 2.0, enumeration JointType.
-    "kinect25": """SpineBase SpineMid Neck<SpineShoulder Head
-    ShoulderLeft<SpineShoulder ElbowLeft WristLeft HandLeft ShoulderRight<SpineShoulder ElbowRight WristRight HandRight
-    HipLeft<SpineBase KneeLeft AnkleLeft FootLeft HipRight<SpineBase KneeRight AnkleRight FootRight
-    SpineShoulder<SpineMid HandTipLeft<HandLeft ThumbLeft<HandLeft HandTipRight<HandRight ThumbRight<HandRight""",
-    # SMPL body model (Loper et al. 2015), in the order of its kinematic tree.
-    "smpl24": """pelvis left_hip right_hip<pelvis spine1<pelvis left_knee<left_hip right_knee<right_hip spine2<spine1
-    left_ankle<left_knee right_ankle<right_knee spine3<spine2 left_foot<left_ankle right_foot<right_ankle
-    neck<spine3 left_collar<spine3 right_collar<spine3 head<neck left_shoulder<left_collar
-    right_shoulder<right_collar left_elbow<left_shoulder right_elbow<right_shoulder left_wrist<left_elbow
-    right_wrist<right_elbow left_hand<left_wrist right_hand<right_wrist""",
-}
-"""The named standards as tokens `joint<parent`; see `Skeleton.standard`."""

@@ -11,6 +11,7 @@ LAYERS = [
     {
         "motion",
         "skeleton",
+        "standards",
         "rig",
         "rotations",
         "runs",
@@ -62,7 +63,7 @@ def test_importing_makes_no_array_and_loads_nothing_heavy():
     program = (
         "import sys, jax, motionrecover\n"
         "assert not jax.live_arrays(), jax.live_arrays()\n"
-        "heavy = {'matplotlib', 'optimistix', 'jaxopt', 'dask', 'optax', 'pybvh', 'typer', 'rich', 'cvxpy'}\n"
+        "heavy = {'matplotlib', 'optimistix', 'jaxopt', 'dask', 'optax', 'pybvh', 'typer', 'rich', 'cvxpy', 'xarray'}\n"
         "loaded = heavy & {name.split('.')[0] for name in sys.modules}\n"
         "sys.exit(f'importing loads {loaded}' if loaded else 0)\n"
     )

@@ -341,6 +341,44 @@ def test_info_of_a_graph_and_of_one_frame(folder, run):
     assert (facts["skeleton"], facts["zero_length_bones"], facts["largest_step_mm"]) == ("graph", ["a-b"], 0)
 
 
+def test_skeleton_lists_the_bones_of_a_cloud_and_writes_what_can_be_edited(folder, run, refuses):
+    save(Motion(TRUTH.positions, Skeleton([f"m{k}" for k in range(25)]), 120), "cloud.npz")
+    code, out, err = run("skeleton", "cloud.npz", "--skeleton", "infer", "-o", "cloud.toml", "--json")
+    assert (code, err) == (0, "")
+    facts = json.loads(out)
+    assert (facts["frames"], facts["output"]) == (120, "cloud.toml")
+    clip = load("cloud.npz", skeleton="cloud.toml")
+    lengths = 1000 * clip.skeleton.bone_lengths_of(clip.positions)
+    assert [bone["bone"] for bone in facts["bones"]] == [name.split("-") for name in clip.skeleton.bone_names]
+    np.testing.assert_allclose([bone["length_mm"] for bone in facts["bones"]], np.median(lengths, 0), rtol=0.01)
+    assert all(bone["spread_mm"] <= np.ptp(each) for bone, each in zip(facts["bones"], lengths.T, strict=True))
+    assert {bone["frames"] for bone in facts["bones"]} == {120}
+    assert sorted(name for part in facts["parts"] for name in part) == sorted(clip.names)
+    text = Path("cloud.toml").read_text()
+    assert text.count("seen in 120 of 120 frames") == len(facts["bones"])
+    Path("cloud.toml").write_text("".join(line for line in text.splitlines(keepends=True) if '["m0"' not in line))
+    fewer = len(load("cloud.npz", skeleton="cloud.toml").skeleton.edges)
+    assert 0 < fewer < len(facts["bones"])
+    refuses("skeleton", "cloud.npz", "--skeleton", "infer", "-o", "cloud.toml", words=["cloud.toml", "exists"])
+
+
+def test_skeleton_of_a_file_with_bones_is_theirs(folder, run):
+    code, out, err = run("skeleton", "corrupted.csv")
+    assert (code, err) == (0, "")
+    assert "24 bones" in out
+    assert out.count(" mm ") == 2 * 24
+    positions = np.full((2, 4, 3), [[np.nan], [1], [1], [2]])
+    save(Motion(positions, Skeleton("abcd", [("a", "b"), ("b", "c")]), 30), "unseen.npz")
+    code, out, _ = run("skeleton", "unseen.npz")
+    assert (code, "nan" in out) == (0, False)
+    assert out.count("no bone ties to the rest: d") == 1
+    code, out, _ = run("skeleton", "unseen.npz", "--json")
+    assert [(bone["length_mm"], bone["spread_share"], bone["frames"]) for bone in json.loads(out)["bones"]] == [
+        (None, None, 0),
+        (0, None, 2),
+    ]
+
+
 def test_convert_there_and_back_is_exact(folder, run):
     assert run("convert", "corrupted.csv", "a.npz", "-q") == (0, "", "")
     assert run("convert", "a.npz", "b.csv", "--to", "csv-long")[0] == 0

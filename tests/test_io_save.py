@@ -21,9 +21,11 @@ def test_formats_tell_what_they_read_and_write():
     assert table == {
         "bvh": ((".bvh",), True, True),
         "amc": ((".amc", ".asf"), True, False),
+        "kinect": ((".csv",), True, False),
         "csv": ((".csv",), True, True),
         "csv-long": ((), True, True),
         "npz": ((".npz",), True, True),
+        "freemocap": ((".npy",), True, False),
     }
     assert all(known.description for known in formats())
 

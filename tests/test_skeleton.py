@@ -6,23 +6,25 @@ import pytest
 from motionrecover import Motion, Skeleton
 from motionrecover.skeleton import STANDARDS
 
+TREES = ("cmu31", "cmu25", "cmu21", "kinect25", "smpl24", "mixamo25", "mixamo65", "body25")
+GRAPHS = ("coco17", "mediapipe33", "plugingait39")
 
-@pytest.mark.parametrize(
-    ("name", "joints"), [("cmu31", 31), ("cmu25", 25), ("cmu21", 21), ("kinect25", 25), ("smpl24", 24)]
-)
-def test_standards_are_connected_trees(name, joints):
+
+@pytest.mark.parametrize("name", [*TREES, *GRAPHS])
+def test_standards_are_connected_and_end_in_their_number_of_joints(name):
     skeleton = Skeleton.standard(name)
-    assert len(skeleton.names) == joints
-    assert skeleton.is_forest
+    assert name.endswith(str(len(skeleton.names)))
     assert len(skeleton.components) == 1
-    assert skeleton.parents.count(-1) == 1
-    assert set(STANDARDS) == {"cmu31", "cmu25", "cmu21", "kinect25", "smpl24"}
+    assert skeleton.is_forest == (name in TREES)
+    if name in TREES:
+        assert skeleton.parents.count(-1) == 1
+    assert set(STANDARDS) == {*TREES, *GRAPHS}
 
 
-@pytest.mark.parametrize("name", ["cmu25", "cmu21"])
-def test_the_smaller_cmu_skeletons_are_selections_of_cmu31(name):
+@pytest.mark.parametrize(("name", "whole"), [("cmu25", "cmu31"), ("cmu21", "cmu31"), ("mixamo25", "mixamo65")])
+def test_smaller_standards_are_selections_of_larger_ones(name, whole):
     part = Skeleton.standard(name)
-    assert Skeleton.standard("cmu31").select(part.names) == part
+    assert Skeleton.standard(whole).select(part.names) == part
 
 
 def test_cmu31_is_the_layout_of_the_recordings(shared_data):
@@ -38,6 +40,12 @@ def test_cmu31_is_the_layout_of_the_recordings(shared_data):
         ("cmu21", 8, "root lowerback upperback thorax upperneck"),
         ("kinect25", 10, "SpineBase SpineMid Neck Head SpineShoulder"),
         ("smpl24", 9, "pelvis spine1 spine2 spine3 neck head"),
+        ("mixamo25", 9, "Hips Spine Spine1 Spine2 Neck Head HeadTop_End"),
+        ("mixamo65", 29, "Hips Spine Spine1 Spine2 Neck Head HeadTop_End"),
+        ("body25", 11, "Nose Neck MidHip"),
+        ("coco17", 8, "nose"),
+        ("mediapipe33", 16, "nose"),
+        ("plugingait39", 17, "C7 T10 CLAV STRN RBAK"),
     ],
 )
 def test_standards_are_mirrored_but_for_their_middle(name, pairs, centre):
@@ -45,7 +53,11 @@ def test_standards_are_mirrored_but_for_their_middle(name, pairs, centre):
     sides = {joint for pair in skeleton.mirror for joint in pair}
     assert (len(skeleton.mirror), len(sides)) == (pairs, 2 * pairs)
     assert {skeleton.names[joint] for joint in set(range(len(skeleton.names))) - sides} == set(centre.split())
-    assert all(skeleton.names[left][0] in "lL" or "Left" in skeleton.names[left] for left, _ in skeleton.mirror)
+    assert all(skeleton.names[left][0] in "lL" or "left" in skeleton.names[left].lower() for left, _ in skeleton.mirror)
+    other = dict(skeleton.mirror) | {right: left for left, right in skeleton.mirror}
+    bones = {frozenset(bone) for bone in skeleton.edges}
+    mirrored = {frozenset(other.get(joint, joint) for joint in bone) for bone in bones}
+    assert mirrored == bones
 
 
 @pytest.mark.parametrize(
@@ -92,6 +104,12 @@ def test_selection_keeps_rest_offsets_only_between_neighbours():
     assert bridged.rest_lengths is None
 
 
+def test_selection_of_a_graph_keeps_the_bones_among_the_joints():
+    ring = Skeleton("abcd", [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2)])
+    assert ring.select("cab") == Skeleton("cab", [("a", "b"), ("b", "c"), ("a", "c")])
+    assert ring.select(ring.names) == ring
+
+
 @pytest.mark.parametrize(
     ("make", "words"),
     [
@@ -107,6 +125,7 @@ def test_selection_keeps_rest_offsets_only_between_neighbours():
         (lambda: Skeleton.from_parents("abc", [-1]), "3 joint names"),
         (lambda: Skeleton("abc", [(0, 2), (1, 2)]).parents, "parents"),
         (lambda: Skeleton("ab", [(0, 1)]).select(["c"]), "'c'"),
+        (lambda: Skeleton("abc", [(0, 1), (1, 2), (2, 0)]).select(["d"]), "'d'"),
         (lambda: Skeleton.standard("robot"), "cmu31"),
     ],
 )

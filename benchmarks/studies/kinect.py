@@ -3,7 +3,8 @@
     python -m benchmarks.studies.kinect [--seeds N] [--inferred C] [--output FILE]
 
 There is no truth, so each recording is measured against itself. Tracked samples (state 2) have a confidence of 1,
-inferred ones (state 1) of `INFERRED`, the others are missing.
+inferred ones (state 1) of `INFERRED`. The few frames that the sensor dropped are cut out, so that every frame has a
+sample of every joint to measure.
 
     bones   standard deviation over mean of each bone's length over the recording: the largest, and before
     still   root mean square of the second differences before over after, where a joint barely moves: over three tracked
@@ -30,14 +31,13 @@ from scipy.ndimage import uniform_filter1d
 
 from benchmarks.recordings import data_folder
 from benchmarks.suite.peers_time import cubic
-from motionrecover.io.atomic import write_beside
+from motionrecover.io import load, write_beside
+from motionrecover.io.kinect import INFERRED
 from motionrecover.recover import recover
 from motionrecover.skeleton import Skeleton
 
 SKELETON = Skeleton.standard("kinect25")
 FPS = 30.0
-INFERRED = 0.3
-"""Confidence of an inferred sample."""
 AROUND = 15
 """Frames: half a second."""
 SLOW = 0.05
@@ -52,11 +52,11 @@ LAGS = np.arange(-5, 6)
 
 
 def read(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Positions (frame, joint, 3) in metres and tracking states (frame, joint) of a recording: a line a frame, the time
-    and four numbers a joint."""
-    rows = [line.rstrip(",").split(",") for line in path.read_text(encoding="utf-8").split()]
-    values = np.array(rows, float)[:, 1:].reshape(len(rows), len(SKELETON.names), 4)
-    return values[..., :3], values[..., 3]
+    """Positions (frame, joint, 3) in metres and tracking states (frame, joint) of a recording's own frames."""
+    motion = load(path)
+    confidence = np.asarray(motion.confidence)
+    kept = motion.observed.any(1)
+    return motion.positions[kept], np.select([confidence == 1, confidence > 0], [2, 1])[kept]
 
 
 def solved(positions: np.ndarray, states: np.ndarray, inferred: float, hidden: np.ndarray | None = None) -> np.ndarray:

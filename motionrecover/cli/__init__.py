@@ -28,6 +28,7 @@ app = typer.Typer(
 for command in (
     commands.demo,
     commands.info,
+    commands.skeleton,
     commands.recover,
     commands.evaluate,
     commands.corrupt,

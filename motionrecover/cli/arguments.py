@@ -14,12 +14,19 @@ import typer
 from motionrecover.cli.facts import measured
 from motionrecover.io import MotionFormatError, formats, write_beside
 from motionrecover.motion import Motion
+from motionrecover.skeleton import STANDARDS
 
 PICTURES = (".png", ".pdf", ".svg")
 
 _READING = "How to read (goes before what the file says)"
 
-Input = Annotated[Path, typer.Argument(metavar="IN", help="Motion file: BVH, AMC with its ASF beside it, CSV or NPZ.")]
+Input = Annotated[
+    Path,
+    typer.Argument(
+        metavar="IN",
+        help="Motion file: BVH, AMC with its ASF beside it, CSV (also of Kinect), NPZ, or NPY of FreeMoCap.",
+    ),
+]
 Output = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="File to write: .npz, .csv or .bvh.")]
 Format = Annotated[
     str | None,
@@ -30,7 +37,7 @@ SkeletonName = Annotated[
     typer.Option(
         "--skeleton",
         metavar="NAME|FILE",
-        help="Bones, where the file has none: cmu31, cmu25, cmu21, kinect25, smpl24, or a TOML file; for AMC its ASF.",
+        help=f"Bones, where the file has none: {', '.join(STANDARDS)}, infer, or a TOML file; for AMC its ASF.",
         rich_help_panel=_READING,
     ),
 ]

@@ -16,7 +16,7 @@ from motionrecover.cli import facts, terminal
 from motionrecover.corrupt import PROTOCOLS, apply
 from motionrecover.figures import recovery_figure
 from motionrecover.intake import fill
-from motionrecover.io import load, save, write_beside
+from motionrecover.io import load, save, save_skeleton, write_beside
 from motionrecover.io.border import counted
 from motionrecover.io.bvh_out import posed, rig_of
 from motionrecover.motion import Motion
@@ -195,7 +195,7 @@ def demo(
     print(f"wrote {', '.join(path.name for path in paths)} into {output}")
     if picture in paths:
         print(f"look at {picture}: orange went in, blue came out, black is the truth")
-    print("now try a file of yours (BVH, AMC, CSV or NPZ):")
+    print("now try a file of yours (BVH, AMC, CSV, NPZ or NPY):")
     print("  motionrecover info walk.bvh")
     print("  motionrecover recover walk.bvh -o walk-clean.bvh --figure walk.png")
 
@@ -301,6 +301,52 @@ def info(
     else:
         print(path)
         facts.print_contents(found)
+
+
+def skeleton(
+    path: given.Input,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="OUT", help="Skeleton file to write: TOML.")
+    ] = None,
+    overwrite: given.Overwrite = False,
+    format: given.Format = None,
+    skeleton: given.SkeletonName = None,
+    unit: given.Unit = None,
+    up: given.Up = None,
+    fps: given.Fps = None,
+    skip_first: given.SkipFirst = False,
+    json: given.Json = False,
+) -> None:
+    """List the bones of a motion, and how well each keeps its length; write them as a file for --skeleton.
+
+    A file that brings no bones gets those of a standard whose joints it names, or else those that its distances show;
+    --skeleton infer takes the latter in any case. OUT can be edited: a line is a bone.
+    """
+    clip = load(path, format=format, skeleton=skeleton, unit=unit, up=up, fps=fps, skip_first=skip_first)
+    bones = facts.bones(clip)
+    if output is not None:
+        reasons = [facts.reason(bone, len(clip)) for bone in bones]
+        save_skeleton(clip.skeleton, output, reasons=reasons, overwrite=overwrite)
+    parts = [[clip.names[joint] for joint in part] for part in clip.skeleton.components]
+    found = {
+        "file": str(path),
+        "output": None if output is None else str(output),
+        "frames": len(clip),
+        "parts": parts,
+        "bones": bones,
+        "history": list(clip.history),
+    }
+    if json:
+        terminal.print_json(found)
+        return
+    print(f"{path}: {facts.size(clip)}, {counted(len(bones), 'bone')}")
+    for line in clip.history:
+        print(line)
+    facts.print_bones(bones, len(clip))
+    for part in parts[1:]:
+        print("no bone ties to the rest:", ", ".join(part))
+    if output is not None:
+        print(f"wrote {output}")
 
 
 def convert(

@@ -9,6 +9,7 @@ import numpy as np
 from motionrecover import metrics
 from motionrecover.cli.terminal import mm, percent, table
 from motionrecover.evidence.bone_lengths import estimate_bone_lengths
+from motionrecover.evidence.rigid_graph import spreads
 from motionrecover.io.border import counted
 from motionrecover.motion import UNITS, Motion
 from motionrecover.recover import Recovery
@@ -100,6 +101,46 @@ def print_contents(facts: Facts) -> None:
             *(("" if line else "history", text) for line, text in enumerate(facts["history"])),
         ],
     )
+
+
+def bones(motion: Motion) -> list[Facts]:
+    """How well each bone keeps its length, over the frames that show both ends."""
+    skeleton = motion.skeleton
+    first, second = np.asarray(skeleton.edges, int).reshape(-1, 2).T
+    length, spread = spreads(measured(motion), first, second)
+    share = np.divide(spread, length, where=length > 0, out=np.full(len(length), np.nan))
+    together = (motion.observed[:, first] & motion.observed[:, second]).sum(0)
+    return [
+        {
+            "bone": [skeleton.names[i], skeleton.names[j]],
+            "length_mm": 1000 * float(length[bone]),
+            "spread_mm": 1000 * float(spread[bone]),
+            "spread_share": float(share[bone]),
+            "frames": int(together[bone]),
+        }
+        for bone, (i, j) in enumerate(skeleton.edges)
+    ]
+
+
+def print_bones(found: list[Facts], frames: int) -> None:
+    """Print what `bones` found in a clip of so many frames."""
+    rows = [
+        (
+            "-".join(bone["bone"]),
+            mm(bone["length_mm"]),
+            mm(bone["spread_mm"]),
+            percent(bone["spread_share"]),
+            bone["frames"],
+        )
+        for bone in found
+    ]
+    table(("bone", "length", "varies by", "", f"frames of {frames}"), [tuple(map(str, row)) for row in rows])
+
+
+def reason(bone: Facts, frames: int) -> str:
+    """One of `bones` in a line."""
+    varies = f"{mm(bone['spread_mm'])} ({percent(bone['spread_share'])})"
+    return f"{mm(bone['length_mm'])}, varies by {varies}, seen in {bone['frames']} of {frames} frames"
 
 
 def apart(motion: Motion, other: Motion) -> Facts:

@@ -86,6 +86,8 @@ def mm(millimetres: float) -> str:
 
 def percent(share: float) -> str:
     """A share for people, which is zero or whole only when it is so exactly."""
+    if not math.isfinite(share):
+        return "-"
     if 0 < share < 0.0005:
         return "< 0.1 %"
     return "> 99.9 %" if 0.9995 < share < 1 else f"{100 * share:.1f} %"

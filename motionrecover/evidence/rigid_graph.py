@@ -70,7 +70,7 @@ def infer_graph(positions: np.ndarray, observed: np.ndarray | None = None) -> Ri
     first, second = np.triu_indices(markers, 1)
     count = seen.astype(int)
     together = (count.T @ count)[first, second]
-    length, spread = _spreads(np.where(seen[..., None], positions, np.nan), first, second)
+    length, spread = spreads(np.where(seen[..., None], positions, np.nan), first, second)
     usable = (together >= max(LEAST_FRAMES, TOGETHER * frames)) & (length > 0)
     unit = _unit(length, usable, first, second, markers)
     steady = np.flatnonzero(usable & (spread <= LOOSE * np.minimum(length, unit)))
@@ -80,8 +80,11 @@ def infer_graph(positions: np.ndarray, observed: np.ndarray | None = None) -> Ri
     return RigidGraph(edges, length[kept], spread[kept], together[kept])
 
 
-def _spreads(positions, first, second):
-    """Median and s (pair,) of the distances, NaN and infinite for a pair never seen together; a marker at a time."""
+def spreads(positions: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Median and s (pair,) of the distances between the markers `first` and `second` of positions (frame, marker, 3).
+
+    NaN and infinite for a pair that is never seen together. A marker at a time, for the sake of memory.
+    """
     thin = positions[:: -(-len(positions) // MOST_FRAMES) or 1]
     length, spread = np.full(len(first), np.nan), np.full(len(first), np.inf)
     for marker in range(positions.shape[1]):

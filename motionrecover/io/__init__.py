@@ -6,14 +6,27 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from motionrecover.io import asf, bvh, bvh_out, csv, npz
+from motionrecover.io import asf, bvh, bvh_out, csv, freemocap, kinect, npz
 from motionrecover.io.atomic import write_beside
 from motionrecover.io.border import Asked, frame_rate, metres_in, up_axis
 from motionrecover.io.errors import MotionFormatError, MotionFormatWarning
+from motionrecover.io.movement import from_xarray, to_xarray
+from motionrecover.io.skeleton_file import save_skeleton
 from motionrecover.motion import Motion
 from motionrecover.skeleton import Skeleton
 
-__all__ = ["Format", "MotionFormatError", "MotionFormatWarning", "formats", "load", "save", "write_beside"]
+__all__ = [
+    "Format",
+    "MotionFormatError",
+    "MotionFormatWarning",
+    "formats",
+    "from_xarray",
+    "load",
+    "save",
+    "save_skeleton",
+    "to_xarray",
+    "write_beside",
+]
 
 
 @dataclass(frozen=True)
@@ -30,6 +43,8 @@ class Format:
     """Reads a file; `Asked` goes before what the file says. None for formats that are only written."""
     write: Callable[[Motion, Path], None] | None = None
     """Writes a file that does not matter until it is whole. None for formats that are only read."""
+    fits: Callable[[Path], bool] | None = None
+    """Tells by its content whether a file to read is of this format, where others share the ending."""
 
     @property
     def reads(self) -> bool:
@@ -45,9 +60,13 @@ class Format:
 _FORMATS = (
     Format("bvh", (".bvh",), "Biovision hierarchy: offsets and rotations", bvh.read, bvh_out.write),
     Format("amc", (".amc", ".asf"), "Acclaim motion on the .asf skeleton beside it", read=asf.read),
+    Format(
+        "kinect", (".csv",), "Kinect v2 recording, told from other CSV by its content", kinect.read, fits=kinect.fits
+    ),
     Format("csv", (".csv",), "Table, a row a frame; both CSV layouts are read", csv.read, csv.write_wide),
     Format("csv-long", (), "Table, a row a joint and frame; by name only", csv.read, csv.write_long),
     Format("npz", (".npz",), "NumPy arrays, exact and fast", npz.read, npz.write),
+    Format("freemocap", (".npy",), "FreeMoCap body, with its names and errors if beside it", read=freemocap.read),
 )
 
 
@@ -68,11 +87,11 @@ def load(
 ) -> Motion:
     """Motion of a file, in metres with y up whatever the file has.
 
-    `format` is chosen by the ending of the name unless given. `skeleton` (a skeleton, the name of a standard, or the
-    path of a TOML file; of an ASF file for AMC), `unit` (a name of `motion.UNITS` or metres in one unit), `up`
-    (x, y or z) and `fps` go before what the file says; one that neither states is an error, or an assumption that
-    is said aloud (`MotionFormatWarning`) and kept in `Motion.history`. `skip_first` leaves frame 0 out, which in
-    some BVH files is an added T-pose.
+    `format` is chosen by the ending of the name, and where formats share it by the content, unless given. `skeleton`
+    (a skeleton, the name of a standard, "infer", or the path of a TOML file; of an ASF file for AMC), `unit` (a name of
+    `motion.UNITS` or metres in one unit), `up` (x, y or z) and `fps` go before what the file says; one that neither
+    states is an error, or an assumption that is said aloud (`MotionFormatWarning`) and kept in `Motion.history`.
+    `skip_first` leaves frame 0 out, which in some BVH files is an added T-pose.
 
     Raises `MotionFormatError` for everything wrong with the file, `ValueError` for unusable arguments.
     """
@@ -83,7 +102,7 @@ def load(
         None if up is None else up_axis(up),
         None if fps is None else frame_rate(fps),
     )
-    chosen = _choose(path, format)
+    chosen = _choose(path, format, reading=True)
     if chosen.read is None:
         raise MotionFormatError(f"{path} is {chosen.name}, which is written but not read: {_readable()}")
     try:
@@ -125,13 +144,14 @@ def save(motion: Motion, path: str | Path, *, overwrite: bool = False, format: s
     return path
 
 
-def _choose(path: Path, format: str | Format | None) -> Format:
-    """The format that is given, or that the ending of the name says."""
+def _choose(path: Path, format: str | Format | None, reading: bool = False) -> Format:
+    """The format that is given, or that the ending of the name says, and the content of a file to read."""
     if isinstance(format, Format):
         return format
     names = ", ".join(known.name for known in _FORMATS)
     for known in _FORMATS:
-        if known.name == format or (format is None and path.suffix.lower() in known.suffixes):
+        by_ending = format is None and path.suffix.lower() in known.suffixes
+        if known.name == format or (by_ending and (known.fits is None or (reading and known.fits(path)))):
             return known
     if format is not None:
         raise ValueError(f"received format {format!r}: give one of {names}")

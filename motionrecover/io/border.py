@@ -12,7 +12,7 @@ import numpy as np
 
 from motionrecover.io.errors import MotionFormatError, MotionFormatWarning
 from motionrecover.motion import UNITS, UP_AXES, Motion
-from motionrecover.skeleton import STANDARDS, Skeleton
+from motionrecover.skeleton import Skeleton
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Asked:
     """What the caller says about a file; it goes before what the file says, and None leaves it to the file."""
 
     skeleton: Skeleton | str | Path | None = None
-    """A skeleton, the name of a standard, or the path of a skeleton file (TOML; ASF for AMC)."""
+    """A skeleton, the name of a standard, "infer", or the path of a skeleton file (TOML; ASF for AMC)."""
     unit: float | None = None
     """Metres in one unit of the file."""
     up: str | None = None
@@ -77,10 +77,11 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def assume(sentence: str) -> str:
+def assume(sentence: str, deeper: int = 0) -> str:
     """Say aloud what was assumed, on behalf of the reader that calls this; returned for the history."""
-    # This function, the reader and `load` lie between the warning and the line that asked for the file.
-    warnings.warn(sentence, MotionFormatWarning, stacklevel=4)
+    # This function, the reader and `load` lie between the warning and the line that asked for the file, and `deeper`
+    # functions that the reader calls.
+    warnings.warn(sentence, MotionFormatWarning, stacklevel=4 + deeper)
     return sentence
 
 
@@ -150,50 +151,6 @@ def motion_from(
     masks: dict[str, Any] = {} if observed is None else {"observed": observed}
     metres = to_metres(positions, unit, up)
     return Motion(metres, skeleton, fps, confidence=confidence, unit=unit, up=up, history=history, **masks)
-
-
-def skeleton_for(
-    path: Path, names: list[str], own: Skeleton | None, asked: Skeleton | str | Path | None
-) -> tuple[Skeleton, list[int], str]:
-    """Skeleton of a file with joints `names`, the file's column of each of its joints, and a line of history.
-
-    The asked skeleton goes before the file's `own`; with neither, a standard with the same names is taken. Raises
-    `MotionFormatError` where there is none or its joints are not the file's, `ValueError` for an unknown skeleton.
-    """
-    if asked is not None:
-        skeleton, note = _named(asked), "took the bones from the skeleton asked for"
-    elif own is not None:
-        skeleton, note = own, "took the bones from the file"
-    else:
-        same = (name for name in STANDARDS if set(Skeleton.standard(name).names) == set(names))
-        standard = next(same, None)
-        if standard is None:
-            raise MotionFormatError(
-                f"{path} names {counted(len(names), 'joint')} without bones: "
-                f"give skeleton= (--skeleton), a skeleton file or one of {', '.join(STANDARDS)}"
-            )
-        skeleton, note = Skeleton.standard(standard), f"took the bones of {standard}, whose joint names these are"
-    if set(skeleton.names) != set(names):
-        lost, new = sorted(set(names) - set(skeleton.names)), sorted(set(skeleton.names) - set(names))
-        raise MotionFormatError(
-            f"{path} and the skeleton name other joints: only the file has {lost}, only the skeleton has {new}; "
-            "give a skeleton with the joints of the file"
-        )
-    index = {name: column for column, name in enumerate(names)}
-    return skeleton, [index[name] for name in skeleton.names], note
-
-
-def _named(skeleton: Skeleton | str | Path) -> Skeleton:
-    """A skeleton from itself, the name of a standard, or a TOML file."""
-    if isinstance(skeleton, Skeleton):
-        return skeleton
-    if str(skeleton) in STANDARDS:
-        return Skeleton.standard(str(skeleton))
-    if not Path(skeleton).is_file():
-        raise ValueError(
-            f"received skeleton {str(skeleton)!r}: give a skeleton file that exists or one of {', '.join(STANDARDS)}"
-        )
-    return Skeleton.from_file(skeleton)
 
 
 def parents_of(skeleton: Skeleton) -> tuple[int, ...] | None:

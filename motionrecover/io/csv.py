@@ -23,6 +23,7 @@ from typing import NoReturn, TypeVar
 
 import numpy as np
 
+from motionrecover.io.bones import skeleton_for
 from motionrecover.io.border import (
     Asked,
     assume,
@@ -34,7 +35,6 @@ from motionrecover.io.border import (
     parents_of,
     read_lines,
     shown,
-    skeleton_for,
     up_axis,
 )
 from motionrecover.io.errors import MotionFormatError
@@ -78,8 +78,8 @@ class _Samples:
 def read(path: Path, asked: Asked) -> Motion:
     """Motion of a CSV file, wide or long, in the dtype it states or float64.
 
-    `fps`, `unit` and a skeleton have to be stated or asked for, save that joints named as in a standard skeleton get
-    its bones; an up axis that neither states is assumed to be y, with a `MotionFormatWarning`.
+    `fps` and `unit` have to be stated or asked for. Bones that neither states are those of a standard with such joints,
+    or inferred from the distances; an up axis is assumed to be y. Both assumptions are a `MotionFormatWarning`.
 
     Raises `MotionFormatError` for a table that is not whole, not described, or not numeric.
     """
@@ -92,7 +92,8 @@ def read(path: Path, asked: Asked) -> Motion:
     if fps is None or unit is None:
         name = "fps" if fps is None else "unit"
         raise MotionFormatError(f"{path} states no {name}: give {name}= (--{name}) or start it with '# {name}: ...'")
-    skeleton, order, note = skeleton_for(path, samples.names, _own_skeleton(table, samples.names), asked.skeleton)
+    own = _own_skeleton(table, samples.names)
+    skeleton, order, note = skeleton_for(path, samples.names, own, asked.skeleton, samples.parts[..., :3])
     frames, joints = samples.parts.shape[:2]
     history = [
         *(_stated(table, "history", _history) or []),

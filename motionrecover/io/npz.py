@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from motionrecover.io.bones import skeleton_for
 from motionrecover.io.border import (
     Asked,
     counted,
@@ -24,7 +25,6 @@ from motionrecover.io.border import (
     motion_from,
     parents_of,
     read_bytes,
-    skeleton_for,
     up_axis,
 )
 from motionrecover.io.errors import MotionFormatError
@@ -69,7 +69,7 @@ def read(path: Path, asked: Asked) -> Motion:
     if asked.fps is None and "fps" not in arrays:
         raise MotionFormatError(f"{path} states no frame rate: give fps= (--fps) or add the array 'fps'")
 
-    skeleton, order, note = skeleton_for(path, names, _own_skeleton(arrays, names), asked.skeleton)
+    skeleton, order, note = skeleton_for(path, names, _own_skeleton(arrays, names), asked.skeleton, positions)
     source = f", from {arrays['source']}" if str(arrays.get("source", "")) else ""
     return motion_from(
         positions[:, order],

@@ -1,0 +1,150 @@
+"""FreeMoCap NPY: positions (frame, marker, 3) of a tracker's body, in millimetres with z up.
+
+    recording/output_data/mediapipe_body_3d_xyz.npy                  {tracker}_body_3d_xyz, the body alone
+    recording/output_data/mediapipe_skeleton_3d.npy                  body, then hands and face; also as
+    recording/output_data/mediaPipeSkel_3d_body_hands_face.npy       older versions name it
+    recording/output_data/mediapipe_names_and_connections_dict.json  {"body": {"names": [...], "connections": ...}, ...}
+    recording/output_data/raw_data/mediapipe_3dData_numFrames_numTrackedPoints_reprojectionError.npy
+
+The body comes first and is what is read. Its names are those of the JSON file beside it; without one, those of the
+skeleton asked for, or of the tracker's own keypoints. Where the reprojection errors e (frame, marker), in pixels, are
+found, confidence is min(1, median e / e): an error in space grows as the one in the pictures, and the noise of a sample
+is taken to be that of its joint over its confidence. None of these files states a rate. Arrays in `raw_data` are not
+aligned yet: their axes are a camera's. Nothing is ever unpickled, nor read where header and size of a file differ.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+from math import prod
+from pathlib import Path
+from tokenize import TokenError
+
+import numpy as np
+from numpy.lib import format as npy
+
+from motionrecover.io.bones import INFER, named, skeleton_for
+from motionrecover.io.border import Asked, assume, counted, motion_from, read_bytes
+from motionrecover.io.errors import MotionFormatError
+from motionrecover.motion import Motion
+from motionrecover.skeleton import Skeleton
+
+TRACKERS = {"mediapipe": "mediapipe33", "openpose": "body25", "yolo": "coco17"}
+"""The keypoints of the trackers that begin a file's name."""
+ERRORS = "*3dData_numFrames_numTrackedPoints_reprojectionError.npy"
+
+
+def read(path: Path, asked: Asked) -> Motion:
+    """Motion of the body in a FreeMoCap array, in the dtype it has.
+
+    `fps` has to be asked for; millimetres with z up are assumed, with a `MotionFormatWarning`. Raises
+    `MotionFormatError` for a file that is no whole array of such a shape, and where nothing names its markers.
+    """
+    positions = _array(path)
+    if positions.ndim != 3 or positions.shape[2] != 3 or positions.dtype.kind != "f":
+        raise MotionFormatError(
+            f"{path} holds an array of shape {positions.shape} and type {positions.dtype}: "
+            "give real numbers of shape (frame, marker, 3)"
+        )
+    if asked.fps is None:
+        raise MotionFormatError(f"{path} states no frame rate: give that of the cameras, fps= (--fps)")
+    frames, markers = positions.shape[:2]
+    names, source = _names(path, markers, asked.skeleton)
+    positions = positions[:, : len(names)]
+    confidence, said = _confidence(path, (frames, len(names)))
+    skeleton, order, note = skeleton_for(path, names, None, asked.skeleton, positions)
+    history = [
+        f"read {path.name} (FreeMoCap): {counted(frames, 'frame')}, {counted(len(names), 'joint')} named by {source}, "
+        f"{markers - len(names)} more left out; {said}; {note}"
+    ]
+    assumed = [word for word, given in (("millimetres", asked.unit), ("z up", asked.up)) if given is None]
+    if assumed:
+        history.append(
+            assume(
+                f"{path.name} states neither unit nor up axis: assumed {' with '.join(assumed)} as FreeMoCap writes, "
+                "override with unit= and up= (--unit, --up)"
+            )
+        )
+    return motion_from(
+        positions[:, order],
+        skeleton,
+        fps=asked.fps,
+        unit=asked.unit or 0.001,
+        up=asked.up or "z",
+        history=tuple(history),
+        confidence=None if confidence is None else confidence[:, order],
+    )
+
+
+def _array(path: Path) -> np.ndarray:
+    """The array of an NPY file that holds exactly what its header says, and no objects."""
+    content = read_bytes(path)
+    file = io.BytesIO(content)
+    try:
+        version = npy.read_magic(file)
+        read_header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[version]
+        shape, _, dtype = read_header(file)
+    except (ValueError, KeyError, TypeError, SyntaxError, TokenError) as error:  # NumPy has Python parse the header
+        raise MotionFormatError(f"{path} is no NPY file of plain numbers: check its name or give format=") from error
+    size, needed = len(content) - file.tell(), prod(shape) * dtype.itemsize
+    if dtype.hasobject or size != needed:
+        what = "holds objects" if dtype.hasobject else f"holds {size} bytes of the {needed} that shape {shape} takes"
+        raise MotionFormatError(f"{path} {what}: get the whole file, saved as plain numbers")
+    return np.load(io.BytesIO(content), allow_pickle=False)
+
+
+def _names(path: Path, markers: int, asked: Skeleton | str | Path | None) -> tuple[list[str], str]:
+    """Names of the body's markers, which are the first of all, and where they come from."""
+    tracker = _tracker(path)
+    beside = [file for folder in path.parents[:2] for file in sorted(folder.glob("*names_and_connections*.json"))]
+    listed = next((file for file in beside if _tracker(file) == tracker), None)
+    if listed is not None:
+        names, source = _body(listed), listed.name
+    elif asked not in (None, INFER):
+        names, source = named(asked).names, "the skeleton asked for"
+    elif tracker in TRACKERS:
+        names, source = Skeleton.standard(TRACKERS[tracker]).names, TRACKERS[tracker]
+    else:
+        raise MotionFormatError(
+            f"{path} holds {counted(markers, 'marker')} without names: put FreeMoCap's "
+            "*_names_and_connections_dict.json beside it or give skeleton= (--skeleton)"
+        )
+    if len(names) > markers:
+        raise MotionFormatError(
+            f"{path} holds {counted(markers, 'marker')} and {source} names {len(names)}: give a skeleton of its markers"
+        )
+    return list(names), source
+
+
+def _body(path: Path) -> list[str]:
+    """Names of the body's markers in FreeMoCap's JSON file."""
+    try:
+        names = json.loads(path.read_text(encoding="utf-8"))["body"]["names"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise MotionFormatError(f'{path} has no list "names" in "body": copy it again or take it away') from error
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise MotionFormatError(f'{path} has {type(names).__name__} as "names" of "body": write a list of names')
+    return names
+
+
+def _confidence(path: Path, shape: tuple[int, int]) -> tuple[np.ndarray | None, str]:
+    """Confidence (frame, marker) from the reprojection errors beside a file, None without, and a line of history."""
+    folders = (path.parent, path.parent / "raw_data")
+    found = [file for folder in folders for file in sorted(folder.glob(ERRORS)) if _tracker(file) == _tracker(path)]
+    if not found:
+        return None, "no reprojection errors beside it"
+    errors = _array(found[0])
+    if errors.ndim != 2 or errors.dtype.kind != "f" or len(errors) != shape[0] or errors.shape[1] < shape[1]:
+        return None, f"left out {found[0].name}, whose shape {errors.shape} is not that of its frames and markers"
+    errors = errors[:, : shape[1]].astype(np.float64)
+    usual = np.nanmedian(errors) if np.isfinite(errors).any() else 0.0
+    if not usual > 0:
+        return None, f"left out {found[0].name}, which has no errors above 0"
+    return usual / np.maximum(errors, usual), f"confidence is {usual:.3g} px over the reprojection error"
+
+
+def _tracker(path: Path) -> str:
+    """What the name of a file begins with: mediapipe of mediapipe_body_3d_xyz.npy and mediaPipeSkel_3d.npy."""
+    name = path.name.lower()
+    return next((tracker for tracker in TRACKERS if name.startswith(tracker)), name.partition("_")[0])
