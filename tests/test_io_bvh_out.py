@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pybvh
 import pytest
-from helpers import TOLERANCE, TREES, clip
+from helpers import TOLERANCE, TREES, clip, hit
 from scipy.spatial.transform import Rotation
 from test_io_bvh import random_bvh, write
 
-from motionrecover import synthesize
+from motionrecover import recover, synthesize
 from motionrecover.cli import main
 from motionrecover.io import MotionFormatWarning, load, save
 from motionrecover.io.bvh_out import posed
@@ -330,6 +330,39 @@ def test_skip_first_leaves_the_rotations_of_frame_0_out(tmp_path):
     )
 
 
+def carried(rig, path):
+    """The rig on a root that turns about and moves along the floor, where its own root is then moved within it."""
+    parents = (-1, *(parent + 1 for parent in rig.parents))
+    offsets = np.concatenate([[np.zeros(3)], rig.offsets])
+    values = np.concatenate([path, rig.values], 1)
+    channels, ends = (rig.channels[0], *rig.channels), (False, *rig.ends)
+    return replace(
+        rig, names=("Floor", *rig.names), parents=parents, offsets=offsets, channels=channels, ends=ends, values=values
+    )
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_no_bone_leads_to_the_hips_that_a_root_on_the_floor_carries(tmp_path, moves):
+    rig = posed(synthesize(1.0, seed=3)).rig
+    path = np.zeros((120, 6))
+    if moves:
+        path[:, :3], rig.values[:, [0, 2]] = rig.values[:, :3] * (1, 0, 1), 0
+        path[:, 4] = 30
+    whole = motion_of(carried(rig, path))
+    motion = load(save(whole, tmp_path / "clip.bvh"), unit=1, up="y")
+    assert ("Floor", "root") not in {tuple(motion.names[joint] for joint in edge) for edge in motion.skeleton.edges}
+    assert len(motion.skeleton.edges) == len(motion.names) - 2
+    np.testing.assert_allclose(
+        motion.skeleton.bone_lengths_of(motion.positions), np.tile(motion.skeleton.rest_lengths, (120, 1)), atol=1e-5
+    )
+    found = posed(replace(motion, rig=turned(motion.rig, 5, np.random.default_rng(0))))
+    np.testing.assert_allclose(found.positions, motion.positions, atol=TOLERANCE["inverse kinematics"])
+    held = np.array(rig.values)
+    held[:, :3] = held[0, :3]
+    still = load(save(motion_of(carried(replace(rig, values=held), path)), tmp_path / "still.bvh"), unit=1, up="y")
+    assert len(still.skeleton.edges) == len(still.names) - 1
+
+
 @pytest.fixture(scope="module")
 def take(tmp_path_factory):
     """A BVH file, and one with spikes in its rotations."""
@@ -378,3 +411,15 @@ def test_a_real_recording_comes_back_from_rotations_that_were_off(shared_data, t
     assert (same.skeleton, same.rig.frame_time) == (true.skeleton, 0.0083333)
     np.testing.assert_allclose(same.positions, true.positions, atol=TOLERANCE["written digits"])
     assert np.abs(np.diff(same.rig.values[:, 3:], axis=0)).max() < 60
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_a_recovered_recording_is_written_as_it_was_recovered(shared_data, share):
+    clip = load(shared_data / "cmu" / "bvh" / "09_05.bvh", unit=0.0254 / 0.45, skip_first=True)
+    lengths = clip.skeleton.rest_lengths
+    found = recover(hit(clip.positions, share), clip.skeleton, fps=clip.fps, bone_lengths=lengths)
+    written = posed(clip.with_positions(found.positions, "recovered"))
+    off = np.linalg.norm(written.positions - found.positions, axis=-1)
+    assert off.max() < TOLERANCE["weak direction"]
+    kept = clip.skeleton.bone_lengths_of(written.positions)
+    np.testing.assert_allclose(kept, np.tile(lengths, (len(clip), 1)), atol=1e-9)

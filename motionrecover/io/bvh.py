@@ -2,7 +2,8 @@
 
 Joints keep their file order; each end site becomes a joint, `LeftToeBase_end`. A position channel takes the place of
 that component of the joint's OFFSET, on the root as on any joint, as in Blender's importer and pybvh. Rotations are
-degrees, multiplied in the order of the channels. Rest offsets are the OFFSETs.
+degrees, multiplied in the order of the channels. Rest offsets are the OFFSETs. Bones join children and parents, but for
+those that `_carried` finds.
 
 Rotations are pybvh's. Its parser is not used: pybvh 0.9 refuses joints without exactly three rotation channels,
 position channels on joints, roots without position and reordered root positions, takes infinite numbers and unclosed
@@ -34,6 +35,10 @@ PERSON = 1.7
 
 UNIT_GUESSES = {name: UNITS[name] for name in ("m", "cm", "mm", "in")} | {"CMU's 1/0.45 in": 0.0254 / 0.45}
 """Units that BVH files are written in; the last is that of the CMU database and its cgspeed conversion."""
+
+CARRIES = 0.01
+"""Metres by which what a root carries must move in it, outliers aside: hips bob by 3 cm and more above a root that
+walks along on the floor."""
 
 _Fail = Callable[[str], NoReturn]
 
@@ -99,9 +104,29 @@ def read(path: Path, asked: Asked) -> Motion:
                 f"rest pose {unit * _extents(rest).max():.2f} m, override with unit= (--unit)"
             )
         )
-    skeleton = Skeleton.from_parents(rig.names, parents, offsets)
+    carried = _carried(rig, translations * unit)
+    if carried:
+        offsets[carried] = 0.0
+        history.append(f"no bone leads to {', '.join(rig.names[joint] for joint in carried)}, which the root carries")
+    skeleton = Skeleton.from_parents(rig.names, [-1 if j in carried else p for j, p in enumerate(parents)], offsets)
     motion = motion_from(positions, skeleton, fps=fps, unit=unit, up=up, history=tuple(history))
     return replace(motion, rig=replace(rig, unit=unit, up=up))
+
+
+def _carried(rig: Rig, translations: np.ndarray) -> list[int]:
+    """Joints without a bone to their parent: the only child of a root, or of such children, that moves in it.
+
+    Characters of game engines have a root on the floor that carries the hips by their position channels. Taken for a
+    bone it puts the joints of a walk 35 mm off in the mean, and the rotations by as much as a metre.
+    """
+    first, last = np.percentile(translations, [5, 95], axis=0)
+    chain, found = set(), []
+    for joint, parent in enumerate(rig.parents):
+        if parent == -1 or (parent in chain and rig.parents.count(parent) == 1):
+            chain.add(joint)
+            if parent != -1 and (last - first)[joint].max() > CARRIES:
+                found.append(joint)
+    return found
 
 
 def _hierarchy(path: Path, lines: list[str]) -> tuple[list[_Joint], int]:
