@@ -177,6 +177,16 @@ def restore(
         if not exact:
             steady = whittaker(positions, INDEPENDENT * combined, drive)
             positions, left = project_blocks(steady, covariance, length, varies, clip.edges, stored, seconds)
+        off = np.abs(bone_lengths(positions, clip.edges) - length) > Smoother.FLOOR * scale
+        broken = exact & (off & np.isnan(measured) & held & (varies == 0)).any(1)
+        if broken.any():
+            # An outlier passed for intact, and its neighbours cannot be where its bones lead: least trusted, it moves.
+            doubt = np.maximum(1 - intact[broken], 1e-6)[:, :, None] * np.eye(intact.shape[1])
+            loose = covariance[broken] + (Smoother.GROSS * scale) ** 2 * doubt
+            mended = project_blocks(positions[broken], loose, length, varies, clip.edges, stored, seconds)
+            positions[broken], left[broken] = mended
+            kept &= np.linalg.norm(positions - clip.merged, axis=-1) < Smoother.FLOOR * scale
+            intact = np.where(kept, intact, np.minimum(intact, INTACT))
     if at_rest:
         positions[0], left[0], intact[0], kept[0] = clip.merged[0], 0, 1, True
     # What the other joints predict is near its bones' lengths to begin with: there the bones correct little.
