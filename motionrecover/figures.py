@@ -1,4 +1,4 @@
-"""The picture that shows what a recovery did."""
+"""The pictures that show what a recovery did."""
 
 from __future__ import annotations
 
@@ -6,8 +6,17 @@ from pathlib import Path
 
 import numpy as np
 
+from motionrecover.io.atomic import write_beside
 from motionrecover.motion import Motion
+from motionrecover.recover import Recovery
+from motionrecover.report.account import binned, extent
+from motionrecover.report.payload import SHADES
+from motionrecover.report.words import percent
+from motionrecover.robust import Change
 from motionrecover.runs import runs_of
+
+FIGURES = ("recovery.png", "changes.png")
+"""What `write_figures` draws: `recovery_figure` and `changes_figure`."""
 
 # Okabe & Ito's colours, which colour-blind readers tell apart.
 _COLOURS = {"truth": "#222222", "corrupted": "#E69F00", "recovered": "#0072B2"}
@@ -15,6 +24,25 @@ _PANELS = 3
 _POSES = 5
 _SPACING = 0.9
 """Metres between two stick figures."""
+_COLUMNS = 1000
+
+
+def write_figures(
+    folder: str | Path,
+    truth: Motion | None,
+    corrupted: Motion,
+    recovered: Motion,
+    recovery: Recovery,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Draws `FIGURES` into a folder, which is made if there is none."""
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    first, second = (Path(folder) / name for name in FIGURES)
+    with write_beside(first, overwrite=overwrite) as temporary:
+        recovery_figure(truth, corrupted, recovered, temporary)
+    with write_beside(second, overwrite=overwrite) as temporary:
+        changes_figure(corrupted, recovery, temporary)
 
 
 def recovery_figure(truth: Motion | None, corrupted: Motion, recovered: Motion, path: str | Path) -> None:
@@ -64,6 +92,45 @@ def recovery_figure(truth: Motion | None, corrupted: Motion, recovered: Motion, 
     if not corrupted.observed.all():
         handles.append(Patch(color="0.9", label="missing"))
     figure.legend(handles=handles, loc="outside upper center", ncols=4, frameon=False, fontsize=13)
+    figure.savefig(path, dpi=140)
+
+
+def changes_figure(corrupted: Motion, recovery: Recovery, path: str | Path) -> None:
+    """Writes a picture of what happened to each joint in each frame: the kind of change, darker the farther it went.
+
+    Of the frames that share a column the gravest change is drawn. Raises `ImportError` without matplotlib.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.colors import LinearSegmentedColormap
+        from matplotlib.figure import Figure
+        from matplotlib.patches import Patch
+    except ImportError as error:
+        raise ImportError("a figure needs matplotlib: pip install motionrecover[figures]") from error
+    changed, far = recovery.changed, extent(corrupted, recovery)
+    full = [np.quantile(far[changed == kind], 0.98) if (changed == kind).any() else 1.0 for kind in Change]
+    height = changed + np.minimum(0.999, far / np.maximum(full, 1e-6)[changed])
+    rows = binned(height, -(-len(height) // _COLUMNS)).T
+    stops = [
+        ((kind + k) / len(Change), shade)
+        for kind in Change
+        for k, shade in zip((0, 0.75, 1), SHADES[kind], strict=True)
+    ]
+    figure = Figure(figsize=(11.5, 1.4 + 0.17 * len(rows)), layout="constrained")
+    FigureCanvasAgg(figure)
+    axis = figure.subplots()
+    axis.imshow(
+        rows, LinearSegmentedColormap.from_list("changes", stops, 1280), aspect="auto", interpolation="nearest",
+        vmin=0, vmax=len(Change), extent=(0, corrupted.seconds, len(rows) - 0.5, -0.5),
+    )  # fmt: skip
+    axis.set_yticks(range(len(rows)), corrupted.names, fontsize=9)
+    axis.set_xlabel("seconds")
+    axis.spines[:].set_visible(False)
+    kinds = [kind for kind in Change if (changed == kind).any()]
+    handles = [
+        Patch(color=SHADES[kind][1], label=f"{kind.name.lower()} {percent((changed == kind).mean())}") for kind in kinds
+    ]
+    figure.legend(handles=handles, loc="outside upper center", ncols=5, frameon=False, fontsize=11)
     figure.savefig(path, dpi=140)
 
 

@@ -81,11 +81,15 @@ def refuses(run):
 
 
 def test_recover_from_csv_to_npz(folder, run):
-    code, out, err = run("recover", "corrupted.csv", "-o", "out.npz", "--truth", "truth.npz", "--figure", "out.png")
+    extras = ("--truth", "truth.npz", "--report", "out.html", "--figures", "figures")
+    code, out, err = run("recover", "corrupted.csv", "-o", "out.npz", *extras)
     assert (code, err) == (0, "")
     assert "converged after" in out
-    assert "wrote out.npz and out.png" in out
-    assert sorted(path.name for path in folder.iterdir()) == ["corrupted.csv", "out.npz", "out.png", "truth.npz"]
+    assert "wrote out.npz, out.html, figures/recovery.png, figures/changes.png" in out
+    written = ["corrupted.csv", "figures", "out.html", "out.npz", "truth.npz"]
+    assert sorted(path.name for path in folder.iterdir()) == written
+    assert sorted(path.name for path in Path("figures").iterdir()) == ["changes.png", "recovery.png"]
+    assert "<th>preset</th><td>robust</td>" in Path("out.html").read_text(encoding="utf-8")
     before, after = load("corrupted.csv"), load("out.npz")
     assert after.observed.all()
     assert (after.names, after.fps, len(after)) == (before.names, before.fps, len(before))
@@ -131,17 +135,20 @@ def test_recover_quietly_with_the_lengths_of_the_rest_pose(folder, run):
 
 def test_existing_files_are_replaced_only_when_asked(folder, run, refuses):
     Path("out.npz").write_text("old")
-    Path("out.png").write_text("old")
+    Path("out.html").write_text("old")
+    Path("recovery.png").write_text("old")
     for arguments in (
         ("recover", "corrupted.csv", "-o", "out.npz"),
-        ("recover", "corrupted.csv", "-o", "new.npz", "--figure", "out.png"),
+        ("recover", "corrupted.csv", "-o", "new.npz", "--report", "out.html"),
+        ("recover", "corrupted.csv", "-o", "new.npz", "--figures", "."),
+        ("view", "truth.npz", "--save", "out.npz"),
         ("corrupt", "truth.npz", "-o", "out.npz", "--protocol", "iid-20"),
         ("convert", "truth.npz", "out.npz"),
     ):
         refuses(*arguments, words=["exists already", "--overwrite"])
-    assert run("recover", "corrupted.csv", "-o", "out.npz", "--figure", "out.png", "--overwrite")[0] == 0
+    assert run("recover", "corrupted.csv", "-o", "out.npz", "--figures", ".", "--overwrite")[0] == 0
     assert len(load("out.npz")) == len(TRUTH)
-    assert Path("out.png").read_bytes().startswith(b"\x89PNG")
+    assert Path("recovery.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_what_cannot_be_written_is_refused_before_the_work(folder, refuses, monkeypatch):
@@ -152,7 +159,8 @@ def test_what_cannot_be_written_is_refused_before_the_work(folder, refuses, monk
     refuses("recover", "corrupted.csv", "-o", "out.amc", words=["out.amc", ".csv or .npz"])
     refuses("recover", "corrupted.csv", "-o", "out", words=["without an ending"])
     refuses("recover", "corrupted.csv", "-o", "no/out.npz", words=["no folder"])
-    refuses("recover", "corrupted.csv", "-o", "out.npz", "--figure", "out.jpg", words=[".png"])
+    refuses("recover", "corrupted.csv", "-o", "out.npz", "--figures", "truth.npz", words=["truth.npz is no folder"])
+    refuses("recover", "corrupted.csv", "-o", "out.npz", "--report", "out.txt", words=["out.txt", ".html"])
     refuses("recover", "corrupted.csv", "-o", "out.npz", "--preset", "best", words=["'best'", "str_yang2020"])
     refuses("convert", "truth.npz", "out.csv", "--to", "fbx", words=["fbx", ".csv or .npz"])
 
@@ -414,7 +422,7 @@ def test_demo_writes_what_it_says(folder, run, refuses):
     assert (code, err) == (0, "")
     facts = json.loads(out)
     assert sorted(map(str, Path("demo").iterdir())) == sorted([*facts["written"], "demo/mine.txt"])
-    assert len(facts["written"]) == 6
+    assert len(facts["written"]) == 8
     np.testing.assert_array_equal(load("demo/recovered.csv").positions, load("demo/recovered.npz").positions)
     true, after = load("demo/truth.npz"), load("demo/recovered.npz")
     assert facts["aje_mm"]["recovered"] == pytest.approx(1000 * metrics.aje(after.positions, true.positions), rel=1e-6)
@@ -422,17 +430,27 @@ def test_demo_writes_what_it_says(folder, run, refuses):
     refuses("demo", "--seconds", "1", words=["truth.npz", "--overwrite"])
     code, out, err = run("demo", "--seconds", "1", "--overwrite")
     assert (code, err) == (0, "")
-    assert "demo/recovery.png" in out
+    assert "look at demo/report.html" in out
     assert "motionrecover recover walk.bvh" in out
 
 
-def test_the_demo_goes_without_matplotlib(folder, run, monkeypatch):
+def test_the_demo_goes_without_matplotlib_and_plotly(folder, run, monkeypatch):
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
     code, out, err = run("demo", "--seconds", "1")
     assert code == 0
-    assert err.startswith("note: a figure needs matplotlib")
+    notes = err.splitlines()
+    assert notes[0].startswith("note: a figure needs matplotlib")
+    assert notes[1].startswith("note: a report needs plotly")
     assert "recovery.png" not in out
+    assert "report.html" not in out
     assert len(list(Path("demo").iterdir())) == 5
+
+
+def test_view_writes_what_the_viewer_would_show(folder, run):
+    code, out, err = run("view", "corrupted.csv", "truth.npz", "--truth", "truth.npz", "--save", "out.rrd")
+    assert (code, out, err) == (0, "wrote out.rrd\n", "")
+    assert Path("out.rrd").stat().st_size > TRUTH.positions.size
 
 
 def test_without_a_command_help_is_printed(run):

@@ -2,9 +2,10 @@ import builtins
 
 import numpy as np
 import pytest
+from report_clips import large, planted
 
 from motionrecover import corrupt
-from motionrecover.figures import recovery_figure
+from motionrecover.figures import FIGURES, changes_figure, recovery_figure, write_figures
 from motionrecover.motion import Motion
 from motionrecover.skeleton import Skeleton
 from motionrecover.synthesize import synthesize
@@ -55,6 +56,27 @@ def test_different_clips_are_refused(clips, tmp_path):
     with pytest.raises(ValueError, match="same frames and joints"):
         recovery_figure(truth, corrupted.select(truth.names[:5]), recovered, tmp_path / "never.png")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_of_figures(tmp_path):
+    clip, recovery, truth = planted()
+    recovered = truth.with_positions(recovery.positions, "recovered")
+    write_figures(tmp_path / "new", truth, clip, recovered, recovery)
+    assert all(is_png(tmp_path / "new" / name) for name in FIGURES)
+    with pytest.raises(FileExistsError, match="exists already"):
+        write_figures(tmp_path / "new", truth, clip, recovered, recovery)
+
+
+def test_a_change_of_one_frame_is_seen_in_the_picture(tmp_path):
+    from matplotlib.image import imread
+
+    clip, recovery = large(10_000, 10)
+    changes_figure(clip, recovery, tmp_path / "changes.png")
+    picture = imread(tmp_path / "changes.png")[..., :3]
+    repaired = np.abs(picture - np.array([0x8F, 0x3D, 0x00]) / 255).max(-1) < 0.02
+    rows, columns = np.nonzero(repaired)
+    assert len(rows) > 10
+    assert columns.max() - columns.min() < 4
 
 
 def test_missing_matplotlib_names_the_remedy(clips, tmp_path, monkeypatch):

@@ -30,6 +30,7 @@ for command in (
     commands.info,
     commands.skeleton,
     commands.recover,
+    commands.view,
     commands.evaluate,
     commands.corrupt,
     commands.convert,

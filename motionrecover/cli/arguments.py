@@ -11,12 +11,11 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from motionrecover.cli.facts import measured
+from motionrecover.figures import FIGURES
 from motionrecover.io import MotionFormatError, formats, write_beside
 from motionrecover.motion import Motion
+from motionrecover.report.account import measured
 from motionrecover.skeleton import STANDARDS
-
-PICTURES = (".png", ".pdf", ".svg")
 
 _READING = "How to read (goes before what the file says)"
 
@@ -88,12 +87,27 @@ def check_place(path: Path, overwrite: bool) -> None:
         raise _Rehearsed
 
 
-def check_figure(path: Path, overwrite: bool) -> None:
-    """Refuse, before any work, a picture that could not be drawn after it."""
-    if path.suffix.lower() not in PICTURES:
-        raise ValueError(f"{path} is no picture that can be drawn: give a name that ends in {' or '.join(PICTURES)}")
+def check_figures(folder: Path, overwrite: bool) -> None:
+    """Refuse, before any work, a folder of pictures that could not be drawn after it."""
     if importlib.util.find_spec("matplotlib") is None:
         raise ValueError("a figure needs matplotlib: pip install motionrecover[figures]")
+    check_folder(folder)
+    for name in FIGURES if folder.exists() else ():
+        check_place(folder / name, overwrite)
+
+
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that is a file."""
+    if folder.exists() and not folder.is_dir():
+        raise ValueError(f"{folder} is no folder: give the name of one")
+
+
+def check_report(path: Path, overwrite: bool) -> None:
+    """Refuse, before any work, a report that could not be written after it."""
+    if path.suffix.lower() != ".html":
+        raise ValueError(f"{path} is no name of a report: give one that ends in .html")
+    if importlib.util.find_spec("plotly") is None:
+        raise ValueError("a report needs plotly: pip install motionrecover[report]")
     check_place(path, overwrite)
 
 

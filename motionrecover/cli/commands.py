@@ -14,15 +14,17 @@ from motionrecover import __version__, presets, programs
 from motionrecover.cli import arguments as given
 from motionrecover.cli import facts, terminal
 from motionrecover.corrupt import PROTOCOLS, apply
-from motionrecover.figures import recovery_figure
+from motionrecover.figures import FIGURES, write_figures
 from motionrecover.intake import fill
-from motionrecover.io import load, save, save_skeleton, write_beside
+from motionrecover.io import load, save, save_skeleton
 from motionrecover.io.border import counted
 from motionrecover.io.bvh_out import posed, rig_of
 from motionrecover.motion import Motion
 from motionrecover.recover import Recovery
 from motionrecover.recover import recover as run_recovery
+from motionrecover.report import write_report
 from motionrecover.synthesize import synthesize
+from motionrecover.view import view as show
 
 _PRESET = "robust"
 
@@ -55,7 +57,10 @@ def recover(
     truth: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The true motion, if known, to measure the errors against.")
     ] = None,
-    figure: Annotated[Path | None, typer.Option(metavar="FILE", help="Draw a picture too: .png, .pdf or .svg.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a page about what was changed too: .html.")
+    ] = None,
+    figures: Annotated[Path | None, typer.Option(metavar="DIR", help="Draw pictures too, into this folder.")] = None,
     overwrite: given.Overwrite = False,
     format: given.Format = None,
     skeleton: given.SkeletonName = None,
@@ -76,8 +81,10 @@ def recover(
     _hush(quiet)
     presets.find(preset)
     given.check_output(output, overwrite)
-    if figure is not None:
-        given.check_figure(figure, overwrite)
+    if report is not None:
+        given.check_report(report, overwrite)
+    if figures is not None:
+        given.check_figures(figures, overwrite)
     asked = {"skeleton": skeleton, "unit": unit, "up": up, "fps": fps, "skip_first": skip_first}
     clip = load(path, format=format, **asked)
     if not clip.observed.any():
@@ -91,30 +98,32 @@ def recover(
     lengths = clip.skeleton.rest_lengths if bone_lengths == "rest" else None
     if bone_lengths == "rest" and lengths is None:
         raise ValueError(f"{path} brings no rest pose to take bone lengths from: use --bone-lengths estimate")
-    recovery, recovered = _recover(
-        clip,
-        preset,
-        quiet,
-        not no_cache,
-        bone_lengths=lengths,
-        max_gap=max_gap,
-        fill_unseen=fill_unseen,
-        plant_feet=plant_feet,
-        symmetric=symmetric,
-        max_steps=max_steps,
-        dtype=dtype,
-        verbose=verbose,
-    )
+    settings = {
+        "max_gap": max_gap,
+        "fill_unseen": fill_unseen,
+        "plant_feet": plant_feet,
+        "symmetric": symmetric,
+        "max_steps": max_steps,
+        "dtype": dtype,
+    }
+    recovery, recovered = _recover(clip, preset, quiet, not no_cache, bone_lengths=lengths, verbose=verbose, **settings)
     written = posed(recovered) if as_rotations else recovered
     save(written, output, overwrite=overwrite)
-    if figure is not None:
-        _draw(reference, clip, recovered, figure, overwrite)
+    wrote = [output]
+    if report is not None:
+        shown = {"preset": preset, "bone_lengths": bone_lengths, **settings}
+        write_report(clip, recovery, report, truth=reference, title=path.name, settings=shown, overwrite=overwrite)
+        wrote.append(report)
+    if figures is not None:
+        write_figures(figures, reference, clip, recovered, recovery, overwrite=overwrite)
+        wrote += [figures / name for name in FIGURES]
 
     clips = {"before": fill(facts.measured(clip)), "after": recovered.positions}
     found = {
         "input": str(path),
         "output": str(output),
-        "figure": None if figure is None else str(figure),
+        "report": None if report is None else str(report),
+        "figures": None if figures is None else str(figures),
         "frames": len(clip),
         "joints": len(clip.names),
         "preset": preset,
@@ -135,7 +144,7 @@ def recover(
         facts.print_changes(found)
         if as_rotations:
             facts.print_apart(found)
-        print("wrote", " and ".join(str(each) for each in (output, figure) if each is not None))
+        print("wrote", ", ".join(map(str, wrote)))
 
 
 def demo(
@@ -146,15 +155,14 @@ def demo(
     json: given.Json = False,
     no_cache: given.NoCache = False,
 ) -> None:
-    """Show what it does: make a motion, corrupt it, recover it, and draw the three.
+    """Show what it does: make a motion, corrupt it, recover it, and report on it in a page and in pictures.
 
     A person walks, turns, kicks and jumps; a fifth of all samples is thrown by up to 25 cm an axis.
     """
     truth = synthesize(seconds, seed=seed)
-    if output.exists() and not output.is_dir():
-        raise ValueError(f"{output} is no folder: give the name of one")
+    given.check_folder(output)
     output.mkdir(parents=True, exist_ok=True)
-    names = ("truth.npz", "corrupted.npz", "corrupted.csv", "recovered.npz", "recovered.csv", "recovery.png")
+    names = ("truth.npz", "corrupted.npz", "corrupted.csv", "recovered.npz", "recovered.csv", *FIGURES, "report.html")
     paths = [output / name for name in names]
     for path in paths:
         given.check_place(path, overwrite)
@@ -162,12 +170,17 @@ def demo(
     recovery, recovered = _recover(corrupted, _PRESET, cached=not no_cache)
     for path, clip in zip(paths, (truth, corrupted, corrupted, recovered, recovered), strict=False):
         save(clip, path, overwrite=overwrite)
-    picture = paths[-1]
-    try:
-        _draw(truth, corrupted, recovered, picture, overwrite)
-    except ImportError as error:
-        warnings.warn(str(error), stacklevel=1)
-        paths.remove(picture)
+    *pictures, page = paths[5:]
+    title = "a motion made from nothing, a fifth of it thrown off"
+    for drawn, draw in (
+        (pictures, lambda: write_figures(output, truth, corrupted, recovered, recovery, overwrite=overwrite)),
+        ([page], lambda: write_report(corrupted, recovery, page, truth=truth, title=title, overwrite=overwrite)),
+    ):
+        try:
+            draw()
+        except ImportError as error:
+            warnings.warn(str(error), stacklevel=1)
+            paths = [path for path in paths if path not in drawn]
 
     padded = np.pad(corrupted.positions, ((2, 2), (0, 0), (0, 0)), mode="edge")
     clips = {
@@ -193,11 +206,12 @@ def demo(
         print("a running median is nearer to the truth on lone spikes like these; it knows nothing of bones and gaps")
     print()
     print(f"wrote {', '.join(path.name for path in paths)} into {output}")
-    if picture in paths:
-        print(f"look at {picture}: orange went in, blue came out, black is the truth")
+    for path in (page, pictures[0]):
+        if path in paths:
+            print(f"look at {path}: orange went in, blue came out, black is the truth")
     print("now try a file of yours (BVH, AMC, CSV, NPZ or NPY):")
     print("  motionrecover info walk.bvh")
-    print("  motionrecover recover walk.bvh -o walk-clean.bvh --figure walk.png")
+    print("  motionrecover recover walk.bvh -o walk-clean.bvh --report walk.html")
 
 
 def corrupt(
@@ -349,6 +363,45 @@ def skeleton(
         print(f"wrote {output}")
 
 
+def view(
+    path: given.Input,
+    recovered: Annotated[
+        Path | None, typer.Argument(metavar="[RECOVERED]", help="What was recovered from IN.", show_default=False)
+    ] = None,
+    truth: Annotated[Path | None, typer.Option(metavar="FILE", help="The true motion, if known.")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--save", metavar="FILE", help="Write what would be shown to a file: .rrd.")
+    ] = None,
+    overwrite: given.Overwrite = False,
+    format: given.Format = None,
+    skeleton: given.SkeletonName = None,
+    unit: given.Unit = None,
+    up: given.Up = None,
+    fps: given.Fps = None,
+    skip_first: given.SkipFirst = False,
+) -> None:
+    """Look at a motion in the viewer of rerun, beside what was recovered from it and the truth.
+
+    The viewer plots the confidence that IN brings, and how far each joint was moved. The options on reading apply to
+    all files.
+    """
+    if output is not None:
+        given.check_place(output, overwrite)
+    asked = {"skeleton": skeleton, "unit": unit, "up": up, "fps": fps, "skip_first": skip_first}
+    clip = load(path, format=format, **asked)
+    clips, series = {"input": clip}, {}
+    if clip.confidence is not None:
+        series["weights"] = clip.confidence
+    for name, other in (("recovered", recovered), ("truth", truth)):
+        if other is not None:
+            clips[name] = given.matched(load(other, **asked), clip, other, path)[0]
+    if recovered is not None:
+        series["moved"] = np.linalg.norm(facts.measured(clip) - clips["recovered"].positions, axis=-1)
+    show(clips, series, save=output, overwrite=overwrite)
+    if output is not None:
+        print(f"wrote {output}")
+
+
 def convert(
     path: given.Input,
     output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .npz, .csv or .bvh.")],
@@ -404,8 +457,3 @@ def _keep_programs() -> None:
         programs.keep_in(Path(root) / "motionrecover")
     except OSError as error:
         warnings.warn(f"compiled programs are not kept: {error}", stacklevel=1)
-
-
-def _draw(truth: Motion | None, corrupted: Motion, recovered: Motion, path: Path, overwrite: bool) -> None:
-    with write_beside(path, overwrite=overwrite) as temporary:
-        recovery_figure(truth, corrupted, recovered, temporary)

@@ -13,6 +13,7 @@ from motionrecover.evidence.rigid_graph import spreads
 from motionrecover.io.border import counted
 from motionrecover.motion import UNITS, Motion
 from motionrecover.recover import Recovery
+from motionrecover.report.account import measured
 from motionrecover.robust import Change
 from motionrecover.skeleton import ZERO_LENGTH, Skeleton
 
@@ -20,11 +21,6 @@ AJE, ABE, DEVIATION = "joint error (AJE)", "bone-length error (ABE)", "bone-leng
 """The last is the mean of |length - one length a bone|: of a rigid body it is 0."""
 
 Facts = dict[str, Any]
-
-
-def measured(motion: Motion) -> np.ndarray:
-    """Positions with NaN for everything that was not observed."""
-    return np.where(motion.observed[..., None], motion.positions, np.nan)
 
 
 def size(motion: Motion) -> str:
