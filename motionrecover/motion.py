@@ -9,6 +9,7 @@ import numpy as np
 
 from motionrecover.rig import Rig
 from motionrecover.skeleton import Skeleton
+from motionrecover.source import Source
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Metres in one unit."""
@@ -25,7 +26,8 @@ class Motion:
     in [0, 1] says how far a measurement is to be trusted, NaN or None where the source does not say. `fps` is frames a
     second. `unit` (metres in one unit) and `up` (x, y or z) describe the file that the clip came from. `history`
     tells what was read, assumed and done, in order. `rig` is the hierarchy with channels of the BVH file that the clip
-    came from, on which it can be written again; it may have more joints than the clip.
+    came from, on which it can be written again; it may have more joints than the clip. `source` is the file that the
+    clip came from, in formats that hold more than a motion and write it back.
 
     Raises `ValueError` for misshapen or infinite positions, unusable masks and an unusable frame rate.
     """
@@ -39,6 +41,7 @@ class Motion:
     up: str = "y"
     history: tuple[str, ...] = ()
     rig: Rig | None = None
+    source: Source | None = None
 
     def __post_init__(self):
         positions = np.asarray(self.positions)

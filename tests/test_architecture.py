@@ -14,6 +14,7 @@ LAYERS = [
         "standards",
         "rig",
         "rotations",
+        "source",
         "runs",
         "whittaker",
         "prox",

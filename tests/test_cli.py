@@ -220,7 +220,6 @@ def test_ctrl_c_does_not_wait_for_the_solver(folder):
         ("words.csv", HIP_KNEE + "0,1,0,0,half,0\n", ["line 6", "'half'"]),
         ("infinite.csv", HIP_KNEE + "0,1,0,0,inf,0\n", ["line 6", "inf"]),
         ("parts.csv", HIP_KNEE.replace("-1, 0", "-1, -1") + "0,1,0,0,0.5,0\n" * 4, ["without bones"]),
-        ("no_bones.csv", HIP_KNEE.replace("# parents: -1, 0\n", "") + "0,1,0,0,0.5,0\n" * 4, ["--skeleton"]),
         ("no_unit.csv", HIP_KNEE.replace("# unit: m\n", "") + "0,1,0,0,0.5,0\n" * 4, ["--unit"]),
         ("one_point.csv", HIP_KNEE + "0,1,0,0,1,0\n" * 4, ["coincide"]),
     ],

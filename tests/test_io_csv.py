@@ -152,6 +152,28 @@ def test_skeleton_file_and_standard_names(tmp_path, refused):
     np.testing.assert_array_equal(motion.positions[0, 0], [60, 61, 62])
 
 
+def test_without_bones_and_without_a_header_there_are_none(tmp_path, refused):
+    with pytest.warns(MotionFormatWarning, match="no distance stays the same"):
+        motion = load(write(tmp_path, WIDE.replace("# parents: -1, 0\n", "")))
+    assert motion.skeleton == Skeleton(["hip", "knee"])
+    bare = "1,2,3,4,5,6\n\n7,8,9,,,\n"
+    with pytest.warns(MotionFormatWarning) as said:
+        motion = load(write(tmp_path, bare), unit="m", fps=50, up="y")
+    assert any("no header" in str(warning.message) for warning in said)
+    assert motion.skeleton == Skeleton(["marker1", "marker2"])
+    np.testing.assert_array_equal(motion.positions, [[[1, 2, 3], [4, 5, 6]], [[7, 8, 9], [np.nan] * 3]])
+    refused(lambda: load(write(tmp_path, bare)), "clip.csv", "--fps")
+    refused(lambda: load(write(tmp_path, bare + "1,2,3\n"), unit="m", fps=50), "line 4", "3 cells")
+    refused(lambda: load(write(tmp_path, "0,1,2,3\n1,4,5,6\n"), unit="m", fps=50), "line 1", "'0'")
+
+
+def test_the_real_walk_without_a_header_is_read(shared_data):
+    with pytest.warns(MotionFormatWarning):
+        motion = load(shared_data / "markers" / "gait-raw.csv", unit="mm", fps=50)
+    assert motion.positions.shape == (142, 13, 3)
+    assert 0.94 < motion.observed.mean() < 0.95
+
+
 def test_names_with_dashes_need_one_reading(tmp_path, refused):
     text = WIDE.replace("hip", "a-b").replace("knee", "c")
     assert load(write(tmp_path, text.replace("parents: -1, 0", "bones: a-b-c"))).skeleton.edges == ((0, 1),)
@@ -174,7 +196,6 @@ def test_up_axis_is_assumed_aloud(tmp_path):
         (WIDE, "", ["empty"]),
         ("# fps: 100\n", "", ["no fps", "fps=", "--fps"]),
         ("# unit: cm\n", "", ["no unit", "unit=", "--unit"]),
-        ("# parents: -1, 0\n", "", ["2 joints", "skeleton=", "--skeleton", "cmu31"]),
         ("100\n", "-3\n", ["line 1", "-3", "frame rate"]),
         ("cm", "yard", ["line 2", "'yard'", "unit"]),
         ("up: z", "up: w", ["line 3", "'w'", "up"]),

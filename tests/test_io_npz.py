@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from test_io_csv import motions, same
 
-from motionrecover.io import load, save
+from motionrecover.io import MotionFormatWarning, load, save
 from motionrecover.motion import Motion
 from motionrecover.skeleton import Skeleton
 
@@ -36,6 +36,12 @@ def test_round_trip_is_exact(tmp_path_factory, motion):
     clean = tuple(line.replace("\0", "") for line in motion.history)
     motion = Motion(motion.positions, motion.skeleton, motion.fps, motion.observed, motion.confidence, history=clean)
     same(motion, load(save(motion, path)))
+
+
+def test_without_parents_there_are_no_bones(tmp_path):
+    with pytest.warns(MotionFormatWarning, match="no distance stays the same"):
+        motion = load(write(tmp_path, ["parents"]))
+    assert motion.skeleton == Skeleton(["hip", "knee"])
 
 
 def test_saved_file_has_the_layout_of_the_shared_clips(tmp_path):
@@ -69,7 +75,6 @@ def test_arguments_go_before_the_file_and_the_file_before_the_layout(tmp_path):
         ("positions", {}, ["'positions'"]),
         ("names", {}, ["'names'"]),
         ("fps", {}, ["fps=", "--fps"]),
-        ("parents", {}, ["2 joints", "--skeleton"]),
         ("", {"positions": np.zeros((2, 6))}, ["positions of shape (2, 6)"]),
         ("", {"positions": np.zeros((0, 2, 3))}, ["0 frames"]),
         ("", {"positions": np.full((1, 2, 3), np.inf)}, ["infinite", "'hip'"]),

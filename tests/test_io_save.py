@@ -21,6 +21,8 @@ def test_formats_tell_what_they_read_and_write():
     assert table == {
         "bvh": ((".bvh",), True, True),
         "amc": ((".amc", ".asf"), True, False),
+        "c3d": ((".c3d",), True, True),
+        "trc": ((".trc",), True, True),
         "kinect": ((".csv",), True, False),
         "csv": ((".csv",), True, True),
         "csv-long": ((), True, True),

@@ -2,9 +2,10 @@
 
     python -m benchmarks.studies.markers [--frames N] [--seeds N] [--takes ...] [--output FILE]
 
-Takes: three of the CMU database (41 markers, 120 Hz, no gaps), one of pyomeca (51 markers, 100 Hz; a shoulder and a
-box), and a walk of the package gapfill (13 markers, real gaps), from the folder `markers` beside the clips. The walk's
-file says no rate: 50 Hz is what makes its stride a walk. Of longer takes the middle frames count.
+Takes: three of the CMU database (41 markers, 120 Hz, no gaps), two of pyomeca (51 markers, 100 Hz; a shoulder and a
+box; the second, a TRC file of 93 frames, on request only), and a walk of the package gapfill (13 markers, real gaps),
+from the folder `markers` beside the clips. The walk's file says no unit and no rate: 50 Hz is what makes its stride a
+walk. Of longer takes the middle frames count.
 
 Rows hide samples that were measured: 10 % of them; a run of 0.5 or 1 s in each of three markers; runs of a marker and
 the two that are nearest to it, as long as the real gaps of these takes. Every method gets the same data, in metres, and
@@ -18,20 +19,23 @@ import argparse
 import json
 import time
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
-import ezc3d
 import numpy as np
 
 from benchmarks.recordings import data_folder
 from benchmarks.suite import peers_lowrank, peers_rigid, peers_time
 from motionrecover.evidence.rigid_graph import infer_graph
-from motionrecover.io.atomic import write_beside
+from motionrecover.io import MotionFormatWarning, load, write_beside
+from motionrecover.motion import Motion
 from motionrecover.recover import recover
 from motionrecover.runs import runs_of
 from motionrecover.skeleton import Skeleton
 
 TAKES = ("cmu_02_01.c3d", "cmu_135_02.c3d", "cmu_85_12.c3d", "markers_analogs.c3d", "gait-raw.csv")
+ASKED = ("markers.trc",)
+"""Takes that are measured on request only."""
 GAIT_RATE = 50.0
 ROWS = ("10 % of the samples", "3 markers, 0.5 s", "3 markers, 1 s", "neighbours, real gap lengths")
 PEERS = {
@@ -46,19 +50,12 @@ CLUSTERS = 12
 """Runs of a marker and its neighbours in a take."""
 
 
-def read(path: Path) -> tuple[np.ndarray, list[str], float]:
-    """Positions (frame, marker, 3) in metres, NaN where missing, names, and frames a second."""
-    if path.suffix == ".csv":
-        table = np.genfromtxt(path, delimiter=",")
-        positions = table.reshape(len(table), -1, 3) / 1000
-        return positions, [f"marker{k + 1}" for k in range(positions.shape[1])], GAIT_RATE
-    file = ezc3d.c3d(str(path))
-    point = file["parameters"]["POINT"]
-    # A negative residual marks a sample that was not measured.
-    residual = file["data"]["meta_points"]["residuals"][0].T
-    positions = file["data"]["points"][:3].transpose(2, 1, 0)
-    positions = np.where((residual >= 0)[..., None], positions, np.nan) / 1000
-    return positions, [label.split(":")[-1] for label in point["LABELS"]["value"]], float(point["RATE"]["value"][0])
+def read(path: Path) -> Motion:
+    """A take, NaN where missing. Which axis is up means nothing here."""
+    stated = {"unit": "mm", "fps": GAIT_RATE} if path.suffix == ".csv" else {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MotionFormatWarning)
+        return load(path, **stated)
 
 
 def gap_lengths(positions: np.ndarray) -> list[int]:
@@ -93,7 +90,7 @@ def hidden(row: str, positions: np.ndarray, fps: float, lengths: list[int], rng:
     return out & np.isfinite(positions[..., 0])
 
 
-def measure(truth: np.ndarray, names: list[str], fps: float, hide: np.ndarray) -> dict[str, float]:
+def measure(truth: np.ndarray, names: Sequence[str], fps: float, hide: np.ndarray) -> dict[str, float]:
     """Mean error in mm on the hidden samples for every method, and what `robust` moves the observed samples by."""
     data = np.where(hide[..., None], np.nan, truth)
 
@@ -115,18 +112,18 @@ def measure(truth: np.ndarray, names: list[str], fps: float, hide: np.ndarray) -
 
 def study(folder: Path, takes: list[str], most: int, seeds: int) -> dict:
     """Means over seeds, by row and take."""
-    files = {name: read(folder / name) for name in TAKES}
-    lengths = [length for positions, _, _ in files.values() for length in gap_lengths(positions)]
+    files = {name: read(folder / name) for name in TAKES + ASKED}
+    lengths = [length for take in files.values() for length in gap_lengths(take.positions)]
     table: dict[str, dict] = {}
     for row in ROWS:
         for name in takes:
-            positions, names, fps = files[name]
-            start = max(0, (len(positions) - most) // 2)
-            truth = positions[start : start + most]
+            take = files[name]
+            start = max(0, (len(take) - most) // 2)
+            truth = take.positions[start : start + most]
             runs = []
             for seed in range(seeds):
-                hide = hidden(row, truth, fps, lengths, np.random.default_rng([seed, len(truth)]))
-                runs.append(measure(truth, names, fps, hide))
+                hide = hidden(row, truth, take.fps, lengths, np.random.default_rng([seed, len(truth)]))
+                runs.append(measure(truth, take.names, take.fps, hide))
             mean = {key: round(float(np.mean([run[key] for run in runs])), 3) for key in runs[0]}
             table.setdefault(row, {})[name] = mean
             print(f"{row:30}{name:21}" + "".join(f"{mean[key]:9.2f}" for key in mean), flush=True)
@@ -138,7 +135,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=300, help="of a take, at most (300)")
     parser.add_argument("--seeds", type=int, default=2, help="a row and take (2)")
-    parser.add_argument("--takes", nargs="+", choices=TAKES, default=list(TAKES))
+    parser.add_argument("--takes", nargs="+", choices=TAKES + ASKED, default=list(TAKES))
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results" / "markers.json")
     asked = parser.parse_args()
     columns = (*PEERS, "robust", "observed", "edges", "seconds")

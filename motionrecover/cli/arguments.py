@@ -23,10 +23,12 @@ Input = Annotated[
     Path,
     typer.Argument(
         metavar="IN",
-        help="Motion file: BVH, AMC with its ASF beside it, CSV (also of Kinect), NPZ, or NPY of FreeMoCap.",
+        help="Motion file: BVH, AMC with its ASF beside it, C3D, TRC, CSV (also of Kinect), NPZ, or NPY of FreeMoCap.",
     ),
 ]
-Output = Annotated[Path, typer.Option("--output", "-o", metavar="OUT", help="File to write: .npz, .csv or .bvh.")]
+Output = Annotated[
+    Path, typer.Option("--output", "-o", metavar="OUT", help="File to write: .npz, .csv, .bvh, .c3d or .trc.")
+]
 Format = Annotated[
     str | None,
     typer.Option("--format", metavar="NAME", help="Format, if the ending does not tell it.", rich_help_panel=_READING),

@@ -76,7 +76,8 @@ def recover(
     """Recover the motion behind a corrupted recording: spikes and jitter removed, missing joints filled in.
 
     The answer has the frames and joints of IN, in metres with y up; from BVH to BVH it has the hierarchy, channels,
-    unit and axes of IN. --truth is read with the same options as IN.
+    unit and axes of IN, from C3D to C3D everything of IN but the points. Where IN names no bones, they are pairs of
+    joints that keep their distance. --truth is read with the same options as IN.
     """
     _hush(quiet)
     presets.find(preset)
@@ -89,6 +90,7 @@ def recover(
     clip = load(path, format=format, **asked)
     if not clip.observed.any():
         raise ValueError(f"{path} holds no measured sample: there is nothing to recover from")
+    clip = clip
     reference = None if truth is None else given.matched(load(truth, **asked), clip, truth, path)[0]
     as_rotations = output.suffix.lower() == ".bvh"
     if as_rotations:
@@ -404,7 +406,7 @@ def view(
 
 def convert(
     path: given.Input,
-    output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .npz, .csv or .bvh.")],
+    output: Annotated[Path, typer.Argument(metavar="OUT", help="File to write: .npz, .csv, .bvh, .c3d or .trc.")],
     to: Annotated[
         str | None, typer.Option(metavar="NAME", help="Format of OUT, if not what its ending says: csv-long.")
     ] = None,
@@ -417,7 +419,10 @@ def convert(
     skip_first: given.SkipFirst = False,
     quiet: given.Quiet = False,
 ) -> None:
-    """Write a motion in another format, in metres with y up. Every number is exact; BVH has six decimals."""
+    """Write a motion in another format: CSV and NPZ in metres with y up, every number exact.
+
+    BVH has six decimals, TRC ten digits, C3D floats of 32 bits.
+    """
     _hush(quiet)
     given.check_output(output, overwrite, to)
     clip = load(path, format=format, skeleton=skeleton, unit=unit, up=up, fps=fps, skip_first=skip_first)

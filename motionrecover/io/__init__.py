@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from motionrecover.io import asf, bvh, bvh_out, csv, freemocap, kinect, npz
+from motionrecover.io import asf, bvh, bvh_out, c3d, csv, freemocap, kinect, npz, trc
 from motionrecover.io.atomic import write_beside
 from motionrecover.io.border import Asked, frame_rate, metres_in, up_axis
 from motionrecover.io.errors import MotionFormatError, MotionFormatWarning
@@ -60,6 +60,8 @@ class Format:
 _FORMATS = (
     Format("bvh", (".bvh",), "Biovision hierarchy: offsets and rotations", bvh.read, bvh_out.write),
     Format("amc", (".amc", ".asf"), "Acclaim motion on the .asf skeleton beside it", read=asf.read),
+    Format("c3d", (".c3d",), "Optical markers, with analog data and events", c3d.read, c3d.write),
+    Format("trc", (".trc",), "Optical markers as a table, as OpenSim has it", trc.read, trc.write),
     Format(
         "kinect", (".csv",), "Kinect v2 recording, told from other CSV by its content", kinect.read, fits=kinect.fits
     ),
@@ -121,6 +123,7 @@ def load(
         observed=motion.observed[1:],
         confidence=None if motion.confidence is None else motion.confidence[1:],
         rig=None if motion.rig is None else motion.rig.frames(slice(1, None)),
+        source=None if motion.source is None else motion.source.frames(slice(1, None)),
         history=(*motion.history, "left frame 0 out"),
     )
 
@@ -129,7 +132,8 @@ def save(motion: Motion, path: str | Path, *, overwrite: bool = False, format: s
     """Write a motion, in metres with y up, and return its path; the file appears whole or not at all.
 
     `format` is chosen by the ending of the name unless given. BVH of a motion that came from BVH has the unit, axes,
-    hierarchy and channels of that file: see `io.bvh_out`.
+    hierarchy and channels of that file, C3D and TRC of one that came from C3D and TRC its unit, axes and whatever else
+    it holds: see `io.bvh_out`, `io.c3d`, `io.trc`.
 
     Raises `FileExistsError` when the file exists and `overwrite` is false, other `OSError` when it cannot be written,
     `MotionFormatError` for a format that is not written or that cannot hold the motion.

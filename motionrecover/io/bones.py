@@ -27,8 +27,8 @@ def skeleton_for(
     """Skeleton of a file with joints `names`, the file's column of each of its joints, and a line of history.
 
     The asked skeleton goes before the file's `own`; with neither, a standard is taken whose names fit (`recognised`),
-    else the bones that the distances in `positions` (frame, joint, 3) show, with a `MotionFormatWarning`. Raises
-    `MotionFormatError` where there is none or its joints are not the file's, `ValueError` for an unknown skeleton.
+    else the bones that the distances in `positions` (frame, joint, 3) show, if any, with a `MotionFormatWarning`.
+    Raises `MotionFormatError` where its joints are not the file's, `ValueError` for an unknown skeleton.
     """
     if asked == INFER:
         skeleton, note = _inferred(names, positions), "inferred the bones from distances that stay the same"
@@ -44,15 +44,14 @@ def skeleton_for(
         note = f"took the bones of {standard}, {part}"
     else:
         skeleton = _inferred(names, positions)
-        if not skeleton.edges:
-            raise MotionFormatError(
-                f"{path} names {counted(len(names), 'joint')} without bones, which are no standard's and keep no "
-                f"distances: give skeleton= (--skeleton), a skeleton file or one of {', '.join(STANDARDS)}"
-            )
+        inferred = (
+            f"inferred {counted(len(skeleton.edges), 'bone')} in {counted(len(skeleton.components), 'part')} from "
+            "distances that stay the same, which `motionrecover skeleton` lists"
+        )
         note = assume(
-            f"{path} names {counted(len(names), 'joint')} without bones: inferred "
-            f"{counted(len(skeleton.edges), 'bone')} in {counted(len(skeleton.components), 'part')} from distances "
-            "that stay the same, which `motionrecover skeleton` lists; override with skeleton= (--skeleton)",
+            f"{Path(path).name} names {counted(len(names), 'joint')} without bones: "
+            f"{inferred if skeleton.edges else 'no distance stays the same, they are taken one by one'}; "
+            "override with skeleton= (--skeleton)",
             deeper=1,
         )
     if set(skeleton.names) != set(names):

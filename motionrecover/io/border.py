@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 from motionrecover.io.errors import MotionFormatError, MotionFormatWarning
 from motionrecover.motion import UNITS, UP_AXES, Motion
 from motionrecover.skeleton import Skeleton
+from motionrecover.source import Source
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,13 @@ def metres_in(unit: str | float) -> float:
     if not (math.isfinite(metres) and metres > 0):
         raise ValueError(f"received unit {unit!r}: give {', '.join(UNITS)} or the metres in one unit, above 0")
     return metres
+
+
+def unit_spelled(text: str) -> float | None:
+    """Metres in the unit that a file spells, as mm, MM or millimeters; None for none of `UNITS`."""
+    word = text.strip().lower()
+    match = re.fullmatch(r"(milli|centi|)met(?:er|re)s?", word)
+    return UNITS.get({"milli": "mm", "centi": "cm", "": "m"}[match[1]] if match else word)
 
 
 def up_axis(up: str) -> str:
@@ -151,6 +160,23 @@ def motion_from(
     masks: dict[str, Any] = {} if observed is None else {"observed": observed}
     metres = to_metres(positions, unit, up)
     return Motion(metres, skeleton, fps, confidence=confidence, unit=unit, up=up, history=history, **masks)
+
+
+def source_of(motion: Motion, format: str) -> Source | None:
+    """The file of this format that a motion came from, None where there is none.
+
+    Raises `MotionFormatError` where the motion has other frames than were kept of the file.
+    """
+    source = motion.source
+    if source is None or source.format != format:
+        return None
+    if len(source.kept) != len(motion) or source.kept.step != 1:
+        raise MotionFormatError(
+            f"received {counted(len(motion), 'frame')} with a {format.upper()} file of which "
+            f"{counted(len(source.kept), 'frame')} are kept: cut both, with source=motion.source.frames(...), at the "
+            "ends only, or leave the file out with source=None"
+        )
+    return source
 
 
 def parents_of(skeleton: Skeleton) -> tuple[int, ...] | None:

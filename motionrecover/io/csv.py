@@ -7,7 +7,8 @@
 Wide: `frame`, then `<joint>_x`, `<joint>_y`, `<joint>_z` a joint, also with a dot or a space and in capitals, and
 optionally `<joint>_confidence` and `<joint>_observed` (0 or 1). Long: `frame,joint,x,y,z`, optionally `confidence`
 and `observed`; a pair of frame and joint without a row is missing. Columns called time, timestamp or seconds are
-passed over. An empty or NaN cell is missing. Commas, semicolons or tabs separate the cells.
+passed over. An empty or NaN cell is missing. Commas, semicolons or tabs separate the cells. A table of numbers without
+a header has x, y, z of marker1, marker2, ... in its columns.
 """
 
 from __future__ import annotations
@@ -46,6 +47,9 @@ KEYS = ("fps", "unit", "up", "parents", "bones", "rest_offsets", "dtype", "histo
 
 CLOCKS = ("time", "timestamp", "seconds")
 """Columns that are passed over: a motion has a constant frame rate."""
+
+NO_HEADER = 0
+"""Line of a header that the table lacks."""
 
 _COLUMN = re.compile(r"(.+)[._ ](x|y|z|confidence|observed)$", re.IGNORECASE | re.DOTALL)
 _T = TypeVar("_T")
@@ -99,6 +103,8 @@ def read(path: Path, asked: Asked) -> Motion:
         *(_stated(table, "history", _history) or []),
         f"read {path.name} (CSV): {counted(frames, 'frame')}, {counted(joints, 'joint')}; {note}",
     ]
+    if table.header_line == NO_HEADER:
+        history.append(assume(f"{path.name} has no header: took its columns for x, y, z of one marker after the other"))
     if up is None:
         up = "y"
         history.append(assume(f"{path.name} states no up axis: assumed y, override with up= (--up)"))
@@ -194,6 +200,11 @@ def _table(path: Path) -> _Table:
         raise MotionFormatError(f"{path} holds {'no rows' if filled else 'no header'}: get the whole file")
     numbers = [number for number, _ in filled]
     delimiter = next((mark for mark in ",;\t" if mark in filled[0][1]), ",")
+    first = [cell.strip() for cell in filled[0][1].split(delimiter)]
+    if len(first) % 3 == 0 and all(finite(cell or "0") is not None for cell in first):
+        header = delimiter.join(f"marker{marker + 1}_{axis}" for marker in range(len(first) // 3) for axis in "xyz")
+        filled.insert(0, (NO_HEADER, header))
+        numbers.insert(0, NO_HEADER)
     try:
         cells = csv.reader((line for _, line in filled), delimiter=delimiter, skipinitialspace=True, strict=True)
         columns, *rows = list(cells)
