@@ -1,25 +1,28 @@
 """Recover the human motion that really happened from recordings with jitter, spikes and missing joints."""
 
+from importlib import import_module
 from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
 
-from motionrecover import corrupt, metrics
-from motionrecover.evidence.rigid_graph import infer_graph
-from motionrecover.io import (
-    MotionFormatError,
-    MotionFormatWarning,
-    from_xarray,
-    load,
-    save,
-    save_skeleton,
-    to_xarray,
-)
-from motionrecover.many import Outcome, recover_many
-from motionrecover.motion import Motion
-from motionrecover.presets import PRESETS, Preset
-from motionrecover.recover import Recovery, RecoveryError, recover
-from motionrecover.skeleton import Skeleton
-from motionrecover.solver import Result
-from motionrecover.synthesize import synthesize
+if TYPE_CHECKING:
+    from motionrecover import corrupt, metrics
+    from motionrecover.evidence.rigid_graph import infer_graph
+    from motionrecover.io import (
+        MotionFormatError,
+        MotionFormatWarning,
+        from_xarray,
+        load,
+        save,
+        save_skeleton,
+        to_xarray,
+    )
+    from motionrecover.many import Outcome, recover_many
+    from motionrecover.motion import Motion
+    from motionrecover.presets import PRESETS, Preset
+    from motionrecover.recovery import Recovery, RecoveryError, recover
+    from motionrecover.skeleton import Skeleton
+    from motionrecover.solver import Result
+    from motionrecover.synthetic import synthesize
 
 __version__ = version("motionrecover")
 
@@ -46,3 +49,31 @@ __all__ = [
     "synthesize",
     "to_xarray",
 ]
+
+_HOMES = {
+    "evidence.rigid_graph": ("infer_graph",),
+    "io": ("MotionFormatError", "MotionFormatWarning", "from_xarray", "load", "save", "save_skeleton", "to_xarray"),
+    "many": ("Outcome", "recover_many"),
+    "motion": ("Motion",),
+    "presets": ("PRESETS", "Preset"),
+    "recovery": ("Recovery", "RecoveryError", "recover"),
+    "skeleton": ("Skeleton",),
+    "solver": ("Result",),
+    "synthetic": ("synthesize",),
+}
+"""Modules of the public names, which load at their first use (PEP 562): importing JAX takes half a second."""
+
+
+def __getattr__(name: str) -> Any:
+    if name in ("corrupt", "metrics"):
+        return import_module(f"motionrecover.{name}")
+    for module, names in _HOMES.items():
+        if name in names:
+            value = getattr(import_module(f"motionrecover.{module}"), name)
+            globals()[name] = value
+            return value
+    raise AttributeError(f"module 'motionrecover' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *__all__]

@@ -8,7 +8,7 @@ import numpy as np
 
 from motionrecover.io.atomic import write_beside
 from motionrecover.motion import Motion
-from motionrecover.recover import Recovery
+from motionrecover.recovery import Recovery
 from motionrecover.report.account import binned, extent
 from motionrecover.report.payload import SHADES
 from motionrecover.report.words import percent

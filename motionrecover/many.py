@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from motionrecover.motion import Motion
-from motionrecover.recover import Recovery, RecoveryError, recover
+from motionrecover.recovery import Recovery, RecoveryError, recover
 
 AHEAD = 2
 """Clips a worker that are read before the next answer is taken: a long clip does not stop the workers behind it."""

@@ -6,11 +6,11 @@ import numpy as np
 
 from motionrecover.evidence.swaps import Swap
 from motionrecover.motion import Motion
-from motionrecover.recover import Recovery
+from motionrecover.recovery import Recovery
 from motionrecover.robust import Change
 from motionrecover.skeleton import Skeleton
 from motionrecover.solver import Result
-from motionrecover.synthesize import synthesize
+from motionrecover.synthetic import synthesize
 
 EVIL = "<script>alert(1)</script>"
 SPIKE, GAP, SWAP = (70, 4), (slice(20, 40), 10), Swap(5, 9, 90, 100)

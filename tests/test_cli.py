@@ -15,7 +15,7 @@ import pytest
 from motionrecover import __version__, corrupt, load, metrics, programs, save, synthesize
 from motionrecover.cli import commands, main
 from motionrecover.motion import Motion
-from motionrecover.recover import RecoveryError
+from motionrecover.recovery import RecoveryError
 from motionrecover.skeleton import Skeleton
 
 # As long as `demo --seconds 1`, so that one compiled program serves all tests.

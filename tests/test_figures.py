@@ -8,7 +8,7 @@ from motionrecover import corrupt
 from motionrecover.figures import FIGURES, changes_figure, recovery_figure, write_figures
 from motionrecover.motion import Motion
 from motionrecover.skeleton import Skeleton
-from motionrecover.synthesize import synthesize
+from motionrecover.synthetic import synthesize
 
 
 @pytest.fixture(scope="module")

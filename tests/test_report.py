@@ -18,7 +18,7 @@ from motionrecover.report.payload import SAMPLES, STEP, pack, payload
 from motionrecover.report.words import describe, percent, summarise
 from motionrecover.robust import Change
 from motionrecover.solver import Result
-from motionrecover.synthesize import synthesize
+from motionrecover.synthetic import synthesize
 
 
 @pytest.fixture(scope="module")

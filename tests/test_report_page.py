@@ -15,7 +15,7 @@ from motionrecover.report.account import feet
 from motionrecover.report.payload import STEP
 from motionrecover.robust import Change
 from motionrecover.skeleton import Skeleton
-from motionrecover.synthesize import synthesize
+from motionrecover.synthetic import synthesize
 
 
 @pytest.fixture(scope="module")

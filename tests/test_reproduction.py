@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.studies import yang2020, yang2020_protocol, yang2020_report
 from motionrecover import corrupt, metrics
-from motionrecover.recover import recover
+from motionrecover.recovery import recover
 
 
 @pytest.mark.parametrize("page", yang2020_report.PAGES, ids=lambda page: page.name)

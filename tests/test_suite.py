@@ -9,7 +9,7 @@ from benchmarks.suite import baseline, clips, measure, page, peers_time, rows, t
 from benchmarks.suite.methods import METHODS, PEERS, Method
 from motionrecover import Motion, Skeleton, corrupt
 from motionrecover.io import load
-from motionrecover.synthesize import synthesize
+from motionrecover.synthetic import synthesize
 
 # How far a clean clip may move, in metres: fillers keep every sample, filters smooth it, low rank leaves a rest out.
 MOVED = {"hampel-butterworth": 0.01, "kalman": 0.005, "median-5": 0.003, "median-15": 0.01, "median-31": 0.03}

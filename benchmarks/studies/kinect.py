@@ -33,7 +33,7 @@ from benchmarks.recordings import data_folder
 from benchmarks.suite.peers_time import cubic
 from motionrecover.io import load, write_beside
 from motionrecover.io.kinect import INFERRED
-from motionrecover.recover import recover
+from motionrecover.recovery import recover
 from motionrecover.skeleton import Skeleton
 
 SKELETON = Skeleton.standard("kinect25")

@@ -29,7 +29,7 @@ from benchmarks.suite import peers_lowrank, peers_rigid, peers_time
 from motionrecover.evidence.rigid_graph import infer_graph
 from motionrecover.io import MotionFormatWarning, load, write_beside
 from motionrecover.motion import Motion
-from motionrecover.recover import recover
+from motionrecover.recovery import recover
 from motionrecover.runs import runs_of
 from motionrecover.skeleton import Skeleton
 

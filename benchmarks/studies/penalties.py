@@ -23,7 +23,7 @@ from motionrecover import corrupt, metrics
 from motionrecover.evidence.bone_lengths import estimate_bone_lengths
 from motionrecover.io.atomic import write_beside
 from motionrecover.presets import PRESETS
-from motionrecover.recover import recover
+from motionrecover.recovery import recover
 
 STR = replace(PRESETS["str_yang2020"], window=None)
 CLIPS = {"05_02": 300, "09_01": 148, "05_10": 300, "09_12": 1918, "05_05": 30, "09_03": 8}

@@ -47,8 +47,8 @@ from motionrecover import corrupt, intake, metrics
 from motionrecover.io import MotionFormatWarning, load, write_beside
 from motionrecover.motion import UNITS
 from motionrecover.presets import PRESETS
-from motionrecover.recover import recover
-from motionrecover.synthesize import synthesize
+from motionrecover.recovery import recover
+from motionrecover.synthetic import synthesize
 
 RESULTS = Path(__file__).parent / "results" / "yang2020.json"
 # The 21 joints of Holden et al. 2016, by their names in the BVH files of cgspeed's conversion.

@@ -14,7 +14,7 @@ from motionrecover import corrupt, intake, metrics
 from motionrecover.io import load
 from motionrecover.motion import Motion
 from motionrecover.presets import PRESETS
-from motionrecover.recover import bucket, recover
+from motionrecover.recovery import bucket, recover
 from motionrecover.skeleton import Skeleton
 from motionrecover.solver import solve
 

@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.suite import peers_lowrank, peers_rigid, peers_time
 from benchmarks.suite.clips import Clip
 from motionrecover.presets import PRESETS
-from motionrecover.recover import recover
+from motionrecover.recovery import recover
 
 
 @dataclass(frozen=True)

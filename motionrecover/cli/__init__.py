@@ -15,7 +15,7 @@ import typer
 
 from motionrecover import __version__
 from motionrecover.cli import commands, terminal
-from motionrecover.recover import RecoveryError
+from motionrecover.recovery import RecoveryError
 
 _QUICKLY = "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling,xla_disable_slp_vectorizer"
 

@@ -20,10 +20,10 @@ from motionrecover.io import load, save, save_skeleton
 from motionrecover.io.border import counted
 from motionrecover.io.bvh_out import posed, rig_of
 from motionrecover.motion import Motion
-from motionrecover.recover import Recovery
-from motionrecover.recover import recover as run_recovery
+from motionrecover.recovery import Recovery
+from motionrecover.recovery import recover as run_recovery
 from motionrecover.report import write_report
-from motionrecover.synthesize import synthesize
+from motionrecover.synthetic import synthesize
 from motionrecover.view import view as show
 
 _PRESET = "robust"

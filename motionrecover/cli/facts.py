@@ -12,7 +12,7 @@ from motionrecover.evidence.bone_lengths import estimate_bone_lengths
 from motionrecover.evidence.rigid_graph import spreads
 from motionrecover.io.border import counted
 from motionrecover.motion import UNITS, Motion
-from motionrecover.recover import Recovery
+from motionrecover.recovery import Recovery
 from motionrecover.report.account import measured
 from motionrecover.robust import Change
 from motionrecover.skeleton import ZERO_LENGTH, Skeleton

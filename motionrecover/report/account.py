@@ -9,7 +9,7 @@ import numpy as np
 from motionrecover import metrics
 from motionrecover.evidence.contacts import find_contacts, foot_joints
 from motionrecover.motion import Motion
-from motionrecover.recover import Recovery
+from motionrecover.recovery import Recovery
 from motionrecover.robust import Change
 from motionrecover.runs import runs_of
 

@@ -14,7 +14,7 @@ from typing import Any
 from motionrecover.io.atomic import write_beside
 from motionrecover.io.border import counted
 from motionrecover.motion import Motion
-from motionrecover.recover import Recovery
+from motionrecover.recovery import Recovery
 from motionrecover.report.account import Moment, moments
 from motionrecover.report.payload import SHADES, payload
 from motionrecover.report.words import describe, mm, percent, summarise

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from motionrecover.motion import Motion
-from motionrecover.recover import Recovery
+from motionrecover.recovery import Recovery
 from motionrecover.report.account import Feet, Moment, binned, extent, feet, measured
 from motionrecover.robust import Change
 

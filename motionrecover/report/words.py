@@ -10,7 +10,7 @@ import numpy as np
 
 from motionrecover.io.border import counted
 from motionrecover.motion import Motion
-from motionrecover.recover import Recovery
+from motionrecover.recovery import Recovery
 from motionrecover.report.account import NOTABLE, Moment, bone_deviations, measured, moved
 from motionrecover.robust import Change
 from motionrecover.solver import Result

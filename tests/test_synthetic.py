@@ -3,7 +3,7 @@ import pytest
 
 from motionrecover.runs import runs_of
 from motionrecover.skeleton import Skeleton
-from motionrecover.synthesize import GRAVITY, synthesize
+from motionrecover.synthetic import GRAVITY, synthesize
 
 SEEDS = (0, 1, 7)
 
