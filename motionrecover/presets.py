@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-import jax.numpy as jnp
-import numpy as np
-
-from motionrecover.solver import Problem, Solver
+if TYPE_CHECKING:
+    from motionrecover.solver import Problem, Solver
 
 
 @dataclass(frozen=True)
@@ -66,6 +64,12 @@ class Preset:
 
     def solver(self, problem: Problem) -> Solver:
         """The solver for a problem of one clip; scalars become arrays, so other values compile nothing anew."""
+        # Here, so that names and settings are at hand without JAX.
+        import jax.numpy as jnp
+        import numpy as np
+
+        from motionrecover.solver import Solver
+
         dtype = problem.positions.dtype
         weight = self.outlier_weight / np.sqrt(int(problem.frames))
         if self.initialisation == "printed":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -100,6 +100,7 @@ def recover(
     dtype: Any = None,
     throw: bool = True,
     verbose: bool = False,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Recovery:
     """Recover the motion behind corrupted joint positions.
 
@@ -110,7 +111,8 @@ def recover(
     estimated from D. `fps`: frames a second, kept in the answer; no preset depends on it. `max_steps`: in place of the
     preset's. `dtype` of the answer: float32 (the default) or float64; the published models also compute in it,
     `robust` always in float64. `throw`: raise `RecoveryError` when the verdict is that there is no usable answer,
-    instead of returning it with the verdict. `verbose`: print the trace.
+    instead of returning it with the verdict. `verbose`: print the trace. `progress(done, windows)` is called before the
+    first window, when all input is checked, and after each; what it raises ends the recovery.
 
     Of `robust` only: `max_gap`: gaps of more frames than this stay NaN; left out, a gap is filled however long, and
     `uncertainty` says how far to trust it. `fill_unseen`: joints that no frame shows are placed by their bones instead
@@ -135,13 +137,13 @@ def recover(
     if isinstance(preset, Robust):
         if plant_feet and fps is None:
             raise ValueError("received plant_feet without fps: contacts are found by speed, give frames a second")
-        recovery = _robust(*arguments, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet, symmetric)
+        recovery = _robust(*arguments, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet, symmetric, progress)
     elif max_gap is not None or fill_unseen or plant_feet or symmetric:
         raise ValueError(
             f"received max_gap, fill_unseen, plant_feet or symmetric for {preset.name}: they are options of robust"
         )
     else:
-        recovery = _published(*arguments, preset, steps, dtype, fps)
+        recovery = _published(*arguments, preset, steps, dtype, fps, progress)
     if throw and _useless(recovery.result):
         raise RecoveryError(recovery.message)
     if verbose:
@@ -163,6 +165,7 @@ def _robust(
     fill_unseen,
     plant_feet,
     paired,
+    progress,
 ):
     """The answer of `robust`: see `motionrecover.robust`."""
     raw, trust = intake.check(D, skeleton, observed, confidence)
@@ -198,7 +201,7 @@ def _robust(
     pairs = [(merged.get(a), merged.get(b)) for a, b in mirrored_bones(skeleton)] if paired else []
     pairs = [(a, b) for a, b in pairs if a is not None and b is not None]
     seconds = {"compile": 0.0, "run": 0.0}
-    restored = robust.restore(clip, preset, bone_lengths is not None, pairs, steps, seconds)
+    restored = robust.restore(clip, preset, bone_lengths is not None, pairs, steps, seconds, progress)
     verdict = robust.verdict(restored)
 
     positions, variance, intact = (
@@ -258,7 +261,7 @@ def _robust(
     )
 
 
-def _published(D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps):
+def _published(D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps, progress):
     """The answer of a published model: windows, solved one by one and faded into each other."""
     printed = preset.initialisation == "printed"
     clip = intake.take_in(
@@ -279,7 +282,7 @@ def _published(D, skeleton, observed, confidence, bone_lengths, preset, steps, d
     positions, outliers, solutions, seconds = [], [], [], {"compile": 0.0, "run": 0.0}
     # float64 is allowed for float32 data too: see `prox.singular_value_threshold`.
     with jax.enable_x64(True):
-        for span in spans:
+        for span in windows.told(spans, progress):
             problem, origin = clip.problem(span, stored, dtype)
             solution = run(solve, {"solver": preset.solver(problem), "problem": problem}, {"max_steps": steps}, seconds)
             size = span.stop - span.start

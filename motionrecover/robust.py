@@ -21,7 +21,7 @@ do not matter. Everything is float64: variances of missing and of noiseless samp
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
@@ -109,10 +109,12 @@ def restore(
     mirrored: Sequence[tuple[int, int]],
     max_steps: int,
     seconds: dict[str, float],
+    progress: Callable[[int, int], None] | None = None,
 ) -> Restored:
     """Steps 2 to 7, for a clip whose joints are all observed somewhere.
 
     `given`: the bone lengths are not estimates. `mirrored`: pairs of bones whose estimates are drawn together.
+    `progress`: see `windows.told`.
     """
     observed = clip.merged_weights > 0
     data = np.where(observed[..., None], clip.merged, np.nan)
@@ -137,7 +139,7 @@ def restore(
         window = preset.window or len(data)
         spans = windows.split(len(data), window, min(preset.overlap, window - 1))
         stored = bucket(spans[0].stop - spans[0].start, preset.window)
-        solved = _in_windows(clip, spans, stored, together, bones, scale, noise_max, max_steps, seconds)
+        solved = _in_windows(clip, spans, stored, together, bones, scale, noise_max, max_steps, seconds, progress)
         positions, covariance, intact, drive, solutions = solved
         intact = np.where(observed & ~_hopeless(data, solutions, spans, scale), intact, 0)
         kept = intact > INTACT
@@ -223,10 +225,10 @@ def _scale(data, bones):
     return float(across) if across > 0 else 1.0
 
 
-def _in_windows(clip, spans, stored, together, bones, scale, noise_max, max_steps, seconds):
+def _in_windows(clip, spans, stored, together, bones, scale, noise_max, max_steps, seconds, progress):
     """Positions, covariance, intact, drive (frame, ...) blended from the windows', and these without covariance."""
     found, covariances, probabilities, drives, solutions = [], [], [], [], []
-    for span in spans:
+    for span in windows.told(spans, progress):
         solution, origin = _solve(clip, span, stored, together[span], bones, scale, noise_max, max_steps, seconds)
         size, state = span.stop - span.start, solution.state
         found.append(np.asarray(state.positions)[:size] + origin)

@@ -1,5 +1,7 @@
 """Long clips in overlapping windows: where they lie, and how their answers become one again."""
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 
 
@@ -18,6 +20,16 @@ def split(frames: int, window: int, overlap: int) -> list[slice]:
     size = -(-(frames + (count - 1) * overlap) // count)
     starts = np.linspace(0, frames - size, count).astype(int)
     return [slice(start, start + size) for start in starts.tolist()]
+
+
+def told(spans: list[slice], progress: Callable[[int, int], None] | None) -> Iterator[slice]:
+    """The windows one by one; `progress`, if given, is told how many are done and how many there are."""
+    for done, span in enumerate(spans):
+        if progress is not None:
+            progress(done, len(spans))
+        yield span
+    if progress is not None:
+        progress(len(spans), len(spans))
 
 
 def shares(spans: list[slice], trust: list[np.ndarray] | None = None) -> list[np.ndarray]:

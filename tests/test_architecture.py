@@ -76,6 +76,17 @@ def test_importing_loads_nothing_and_the_names_no_array_and_nothing_heavy():
     assert done.returncode == 0, done.stderr
 
 
+def test_the_command_line_loads_nothing_heavy_before_a_command_runs():
+    program = (
+        "import sys, motionrecover.cli\n"
+        "motionrecover.cli.main(['recover', '--help'])\n"
+        "loaded = {'jax', 'equinox', 'scipy', 'pywt', 'motionrecover.io'} & set(sys.modules)\n"
+        "sys.exit(f'help loads {loaded}' if loaded else 0)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_the_core_knows_no_names_units_or_files():
     for part in ("solver", "isometry"):
         for path in (PACKAGE / part).rglob("*.py"):

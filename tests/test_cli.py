@@ -1,11 +1,16 @@
 """The command line: what it writes, prints and refuses."""
 
 import errno
+import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
+import time
+import tomllib
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
 
 import jax
@@ -13,7 +18,7 @@ import numpy as np
 import pytest
 
 from motionrecover import __version__, corrupt, load, metrics, programs, save, synthesize
-from motionrecover.cli import commands, main
+from motionrecover.cli import main, terminal
 from motionrecover.motion import Motion
 from motionrecover.recovery import RecoveryError
 from motionrecover.skeleton import Skeleton
@@ -85,8 +90,8 @@ def test_recover_from_csv_to_npz(folder, run):
     code, out, err = run("recover", "corrupted.csv", "-o", "out.npz", *extras)
     assert (code, err) == (0, "")
     assert "converged after" in out
-    assert "wrote out.npz, out.html, figures/recovery.png, figures/changes.png" in out
-    written = ["corrupted.csv", "figures", "out.html", "out.npz", "truth.npz"]
+    assert "wrote out.npz, out.npz.toml, out.html, figures/recovery.png, figures/changes.png" in out
+    written = ["corrupted.csv", "figures", "out.html", "out.npz", "out.npz.toml", "truth.npz"]
     assert sorted(path.name for path in folder.iterdir()) == written
     assert sorted(path.name for path in Path("figures").iterdir()) == ["changes.png", "recovery.png"]
     assert "<th>preset</th><td>robust</td>" in Path("out.html").read_text(encoding="utf-8")
@@ -155,7 +160,7 @@ def test_what_cannot_be_written_is_refused_before_the_work(folder, refuses, monk
     def work(*_, **__):
         raise AssertionError("worked")
 
-    monkeypatch.setattr(commands, "load", work)
+    monkeypatch.setattr("motionrecover.io.load", work)
     refuses("recover", "corrupted.csv", "-o", "out.amc", words=["out.amc", ".csv or .npz"])
     refuses("recover", "corrupted.csv", "-o", "out", words=["without an ending"])
     refuses("recover", "corrupted.csv", "-o", "no/out.npz", words=["no folder"])
@@ -178,7 +183,7 @@ def test_work_that_fails_leaves_no_file(folder, run, monkeypatch, error, code):
     def fail(*_, **__):
         raise error
 
-    monkeypatch.setattr(commands, "run_recovery", fail)
+    monkeypatch.setattr(import_module("motionrecover.recovery"), "recover", fail)
     before = sorted(folder.iterdir())
     assert run("recover", "corrupted.csv", "-o", "out.npz") == (code, "", "error: No sample.\n" if code == 1 else "")
     assert sorted(folder.iterdir()) == before
@@ -187,13 +192,14 @@ def test_work_that_fails_leaves_no_file(folder, run, monkeypatch, error, code):
 def test_ctrl_c_does_not_wait_for_the_solver(folder):
     code = """if True:
         import os, signal, sys, time
-        from motionrecover.cli import commands, main
+        from importlib import import_module
+        from motionrecover.cli import main
 
         def slow(*_, **__):
             os.kill(os.getpid(), signal.SIGINT)
             time.sleep(60)
 
-        commands.run_recovery = slow
+        import_module("motionrecover.recovery").recover = slow
         signal.signal(signal.SIGINT, signal.default_int_handler)
         sys.argv = ["motionrecover", "recover", "corrupted.csv", "-o", "out.npz"]
         sys.exit(main())
@@ -228,6 +234,106 @@ def test_bad_files_are_refused_in_one_line(folder, refuses, name, content, words
     if content is not None:
         Path(name).write_bytes(content if isinstance(content, bytes) else content.encode())
     refuses("recover", name, "-o", "out.npz", "--preset", "str_yang2020", words=words)
+
+
+def test_settings_are_written_beside_the_answer_and_do_the_same_again(folder, run):
+    settings = ("--max-gap", "3", "--plant-feet", "--truth", "truth.npz")
+    assert run("recover", "corrupted.csv", "-o", "out.bvh", *settings, "-q")[0] == 0
+    answer, told = Path("out.bvh").read_bytes(), Path("out.bvh.toml").read_bytes()
+    said = tomllib.loads(told.decode())
+    made = said.pop("provenance")
+    assert said == {
+        "input": "corrupted.csv",
+        "output": "out.bvh",
+        "preset": "robust",
+        "bone-lengths": "estimate",
+        "max-gap": 3,
+        "fill-unseen": False,
+        "plant-feet": True,
+        "symmetric": False,
+        "dtype": "float32",
+        "truth": "truth.npz",
+        "skip-first": False,
+    }
+    assert made["motionrecover"] == __version__
+    assert made["input-sha256"] == hashlib.sha256(Path("corrupted.csv").read_bytes()).hexdigest()
+    assert made["verdict"].startswith("Recovered in part")
+
+    assert run("recover", "--config", "out.bvh.toml", "--overwrite", "-q") == (0, "", "")
+    assert (Path("out.bvh").read_bytes(), Path("out.bvh.toml").read_bytes()) == (answer, told)
+    save(load("corrupted.csv"), "corrupted.csv", overwrite=True)  # its history grows, and so its bytes differ
+    code, _, err = run("recover", "--config", "out.bvh.toml", "-o", "again.csv", "--no-cache")
+    assert (code, err) == (0, "note: corrupted.csv has changed since out.bvh.toml was written\n")
+    again = tomllib.loads(Path("again.csv.toml").read_text())
+    digest = again.pop("provenance")["input-sha256"]
+    assert any(digest in line for line in load("again.csv").history)
+    assert again == said | {"output": "again.csv"}
+
+
+def test_a_settings_file_equals_the_flags_and_flags_go_before(folder, run):
+    Path("mine.toml").write_text("input = 'corrupted.csv'\nunit = 0.01\nmax-gap = 3\nsymmetric = true\njson = true\n")
+    code, by_file, err = run("recover", "--config", "mine.toml", "-o", "a.npz", "--unit", "m", "--dry-run")
+    flags = ("--unit", "m", "--max-gap", "3", "--symmetric", "--json", "--dry-run")
+    assert (code, err) == (0, "")
+    assert run("recover", "corrupted.csv", "-o", "a.npz", *flags) == (0, by_file, "")
+    assert run("recover", "--config", "mine.toml", "-o", "a.npz")[0] == 0
+    found, expected = load("a.npz"), load("corrupted.csv", unit="cm")
+    assert np.nanmax(np.abs(found.positions - expected.positions)) < 0.01
+    assert tomllib.loads(Path("a.npz.toml").read_text())["unit"] == "0.01"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("max_gap = 3", ["'max_gap'", "nearest is 'max-gap'"]),
+        ("presets = 'robust'", ["'presets'", "recover does not have", "'preset'"]),
+        ("config = 'other.toml'", ["'config'"]),
+        ("max-gap = 3.5", ["--max-gap"]),
+        ("plant-feet = 'perhaps'", ["--plant-feet"]),
+        ("fps = [30]", ["fps = [30]", "a number"]),
+        ("fps = ", ["no TOML file", "end of document"]),
+        (b"\xff\xfe", ["no TOML file"]),
+    ],
+)
+def test_bad_settings_are_refused_in_one_line(folder, refuses, content, words):
+    Path("bad.toml").write_bytes(content if isinstance(content, bytes) else content.encode())
+    refuses("recover", "corrupted.csv", "-o", "out.npz", "--config", "bad.toml", words=words)
+    refuses("recover", "corrupted.csv", "-o", "out.npz", "--config", "nowhere.toml", words=["nowhere.toml", "exist"])
+
+
+def test_a_dry_run_checks_everything_and_writes_nothing(folder, run, refuses):
+    arguments = ("recover", "corrupted.csv", "-o", "out.npz", "--report", "out.html", "--figures", "new", "--dry-run")
+    before = sorted(folder.iterdir())
+    code, out, err = run(*arguments)
+    assert (code, err) == (0, "")
+    assert "would recover it with robust, bone lengths: estimate, windows: 1" in out
+    assert "would write out.npz, out.npz.toml, out.html, new/recovery.png, new/changes.png" in out
+    facts = json.loads(run(*arguments, "--json")[1])
+    assert (facts["windows"], facts["missing_share"]) == (1, pytest.approx(4 / TRUTH.observed.size))
+    assert run(*arguments, "--quiet") == (0, "", "")
+    assert sorted(folder.iterdir()) == before
+    refuses(*arguments, "--preset", "str_yang2020", "--max-gap", "3", words=["options of robust"])
+    Path("out.npz.toml").write_text("mine")
+    refuses(*arguments, words=["out.npz.toml", "exists already"])
+
+
+def test_progress_is_shown_on_a_terminal_alone(monkeypatch, capsys):
+    def call(progress):
+        for done in range(4):
+            progress(done, 3)
+            time.sleep(0.15)
+        return "answer"
+
+    assert terminal.work("recovering", False, call) == "answer"
+    assert capsys.readouterr().err == ""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "100")
+    assert terminal.work("recovering", True, call) == "answer"
+    assert capsys.readouterr().err == ""
+    assert terminal.work("recovering", False, call) == "answer"
+    shown = capsys.readouterr().err
+    assert "window 3 of 3" in shown
+    assert "left 0:00:0" in re.sub(r"\x1b\[[0-9;]*m", "", shown)
 
 
 def test_recover_says_what_it_leaves_open(folder, run):
@@ -450,6 +556,38 @@ def test_view_writes_what_the_viewer_would_show(folder, run):
     code, out, err = run("view", "corrupted.csv", "truth.npz", "--truth", "truth.npz", "--save", "out.rrd")
     assert (code, out, err) == (0, "wrote out.rrd\n", "")
     assert Path("out.rrd").stat().st_size > TRUTH.positions.size
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        ("motionrecover rec", {"recover"}),
+        ("motionrecover recover --max-", {"--max-gap", "--max-steps"}),
+        ("motionrecover recover --config nowhere.toml --preset s", {"str_yang2020"}),
+        ("motionrecover info --skeleton cmu", {"cmu31", "cmu25", "cmu21"}),
+        ("motionrecover recover walk", set()),  # the shell names files
+    ],
+)
+def test_the_shell_completes(line, found):
+    asked = {"_MOTIONRECOVER_COMPLETE": "complete_bash", "COMP_WORDS": line, "COMP_CWORD": str(line.count(" "))}
+    command = [sys.executable, "-m", "motionrecover"]
+    done = subprocess.run(command, env=os.environ | asked, capture_output=True, text=True, check=True)
+    assert (set(done.stdout.split()), done.stderr) == (found, "")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("info", "corrupted.csv"),
+        ("skeleton", "corrupted.csv"),
+        ("evaluate", "corrupted.csv", "--truth", "truth.npz"),
+        ("convert", "corrupted.csv", "a.npz"),
+        ("corrupt", "truth.npz", "-o", "b.npz", "--protocol", "iid-20"),
+        ("view", "truth.npz", "--save", "c.rrd"),
+    ],
+)
+def test_quiet_prints_nothing(folder, run, arguments):
+    assert run(*arguments, "-q") == (0, "", "")
 
 
 def test_without_a_command_help_is_printed(run):

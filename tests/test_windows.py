@@ -1,14 +1,16 @@
 """Windows: they cover a clip, and their answers become one without a step."""
 
+from importlib import import_module
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from helpers import SKELETONS, clip, hit, lengths_of
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionrecover import recover
-from motionrecover.windows import blend, split
+from motionrecover import PRESETS, recover
+from motionrecover.windows import blend, split, told
 
 
 @given(frames=st.integers(1, 5000), window=st.integers(2, 400), share=st.floats(0, 0.9))
@@ -44,6 +46,30 @@ def test_blending_turns_one_answer_into_the_other_without_a_step():
     assert mixed[-1] == 1
     assert np.diff(mixed).min() >= 0
     assert np.diff(mixed).max() < 0.06
+
+
+def test_progress_is_told_before_the_first_window_and_after_each():
+    events, spans = [], split(100, 30, 10)
+    for span in told(spans, lambda done, total: events.append((done, total))):
+        events.append(span)
+    assert events == [event for k, span in enumerate(spans) for event in ((k, len(spans)), span)] + [(len(spans),) * 2]
+    assert list(told(spans, None)) == spans
+
+
+@pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)
+def test_what_progress_raises_ends_a_recovery_before_its_first_window(preset, monkeypatch):
+    def solve(*_):
+        raise AssertionError("solved")
+
+    def stop(done, total):
+        raise KeyboardInterrupt(done, total)
+
+    for module in ("recover", "robust"):
+        monkeypatch.setattr(import_module(f"motionrecover.{module}"), "run", solve)
+    skeleton = SKELETONS["cmu25"]
+    with pytest.raises(KeyboardInterrupt) as stopped:
+        recover(clip(skeleton, 500), skeleton, preset=preset, progress=stop)
+    assert stopped.value.args == (0, len(split(500, preset.window, preset.overlap)))
 
 
 def test_a_long_clip_shows_no_seams():

@@ -14,26 +14,23 @@ from typing import Annotated, Any
 import typer
 
 from motionrecover import __version__
-from motionrecover.cli import commands, terminal
-from motionrecover.recovery import RecoveryError
+from motionrecover.cli import changing, demo, looking, recovery, terminal
 
 _QUICKLY = "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling,xla_disable_slp_vectorizer"
 
 # Older versions of typer build on click, newer ones on a copy of it: this is the UsageError of either.
 _UsageError: Any = typer.BadParameter.__mro__[1]
 
-app = typer.Typer(
-    context_settings={"help_option_names": ["-h", "--help"]}, add_completion=False, pretty_exceptions_enable=False
-)
+app = typer.Typer(context_settings={"help_option_names": ["-h", "--help"]}, pretty_exceptions_enable=False)
 for command in (
-    commands.demo,
-    commands.info,
-    commands.skeleton,
-    commands.recover,
-    commands.view,
-    commands.evaluate,
-    commands.corrupt,
-    commands.convert,
+    demo.demo,
+    looking.info,
+    looking.skeleton,
+    recovery.recover,
+    looking.view,
+    looking.evaluate,
+    changing.corrupt,
+    changing.convert,
 ):
     app.command()(command)
 
@@ -72,12 +69,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         except _UsageError as error:
             help_of = error.ctx.command_path if error.ctx else "motionrecover"
             code = _fail(f"{error.format_message().rstrip('.')} (see {help_of} --help)", 2)
-        except RecoveryError as error:
-            code = _fail(error, 1)
         except (ValueError, OSError, MemoryError) as error:
             code = _fail(error, 2)
         except (KeyboardInterrupt, typer.Abort):
             code = 130
+        except RuntimeError as error:
+            from motionrecover.recovery import RecoveryError
+
+            if not isinstance(error, RecoveryError):
+                raise
+            code = _fail(error, 1)
     if code == 130 and argv is None:
         os._exit(code)  # An ordinary exit waits for the solver, and JAX crashes while its compilation is cut off.
     return code

@@ -12,10 +12,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
 from typing import Any, TypeVar
 
-from rich.console import Console
-from rich.progress import Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
-from rich.table import Table
-
 _T = TypeVar("_T")
 
 
@@ -33,6 +29,12 @@ def show_warnings_as_notes() -> None:
     warnings.showwarning = show
 
 
+def hush(quiet: bool) -> None:
+    """Print no warnings if `quiet`."""
+    if quiet:
+        warnings.simplefilter("ignore")
+
+
 class _Notes(logging.Handler):
     """Prints what the package logs as lines `note: ...` on the stderr of the moment."""
 
@@ -47,24 +49,41 @@ def show_log(quiet: bool) -> None:
     log.setLevel(logging.INFO)
 
 
-def work(task: str, quiet: bool, call: Callable[[], _T]) -> _T:
-    """What `call` returns; meanwhile a spinner with the time that has passed, if stderr is a terminal.
+def work(task: str, hidden: bool, call: Callable[..., _T]) -> _T:
+    """What `call(progress=...)` returns; meanwhile a bar of its windows, with the time that is left, if stderr is a
+    terminal and unless `hidden`.
 
     What the call prints goes to stderr. It runs in a thread, since compiled code would not let Ctrl-C through.
     """
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
     console = Console(stderr=True, highlight=False, markup=False, emoji=False)
-    columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as progress:
-        progress.add_task(task, total=None)
+    columns = (
+        *(TextColumn("{task.description}", markup=False), BarColumn(10), TextColumn("{task.fields[place]}")),
+        *(TextColumn("after"), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()),
+    )
+    shown = not hidden and console.is_terminal
+    with Progress(*columns, console=console, transient=True, disable=not shown, speed_estimate_period=math.inf) as bar:
+        row = bar.add_task(task, total=None, place="")
+
+        def progress(done: int, total: int) -> None:
+            # Putting the windows together takes about as long as one of them.
+            place = f"window {done + 1} of {total}" if done < total else "finishing"
+            bar.update(row, completed=done, total=total + 1, place=place)
+
         with redirect_stdout(sys.stderr):
             pool = ThreadPoolExecutor(1)
-            future = pool.submit(call)
+            future = pool.submit(call, progress=progress)
             pool.shutdown(wait=False)
             return future.result()
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print rows under a head, names to the left and numbers to the right; an empty head is left out."""
+    from rich.console import Console
+    from rich.table import Table
+
     console = Console(highlight=False, markup=False, emoji=False)
     grid = Table(box=None, pad_edge=False, show_header=any(head), padding=(0, 3, 0, 0))
     for column, title in enumerate(head):

@@ -30,16 +30,16 @@ def save_skeleton(
     `reasons` (bone,) become comments. Rest offsets are left out. Raises `FileExistsError` when the file exists and
     `overwrite` is false, other `OSError` when it cannot be written.
     """
-    bones = [f"    [{_quoted(skeleton.names[i])}, {_quoted(skeleton.names[j])}]," for i, j in skeleton.edges]
+    bones = [f"    [{quoted(skeleton.names[i])}, {quoted(skeleton.names[j])}]," for i, j in skeleton.edges]
     if reasons is not None:
         bones = [f"{bone}  # {reason}" for bone, reason in zip(bones, reasons, strict=True)]
-    names = [f"    {_quoted(name)}," for name in skeleton.names]
+    names = [f"    {quoted(name)}," for name in skeleton.names]
     with write_beside(Path(path), overwrite=overwrite) as temporary:
         lines = [_HEAD + "names = [", *names, "]", "edges = [", *bones, "]", ""]
         temporary.write_text("\n".join(lines), encoding="utf-8")
     return Path(path)
 
 
-def _quoted(name: str) -> str:
+def quoted(name: str) -> str:
     """A TOML string: JSON's escapes are TOML's, which also wants one for DEL."""
     return json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")
