@@ -67,9 +67,9 @@ def wavedec(
 ) -> Float[Array, "*batch coefficient"]:
     """W x along the last axis; `level` 0 is the identity."""
     valid = jnp.asarray(x.shape[-1] if frames is None else frames)
-    lo, details = _keep(x, valid), []
+    lo, details = x if level else _keep(x, valid), []
     for _ in range(level):
-        lo, hi = _split(lo, filters(wavelet), valid)
+        lo, hi = _split(lo, wavelet, valid)
         details.append(hi)
         valid = valid // 2
     return jnp.concatenate([lo, *reversed(details)], -1)
@@ -89,8 +89,8 @@ def waverec(
     for step in reversed(range(level)):
         hi = coefficients[..., at : at + sizes[step]]
         at += sizes[step]
-        lo = _merge(lo, hi, filters(wavelet), valid // 2**step, (length, *sizes)[step])
-    return _keep(lo, valid)
+        lo = _merge(lo, hi, wavelet, valid // 2**step, (length, *sizes)[step])
+    return lo if level else _keep(lo, valid)
 
 
 def _keep(x, valid):
@@ -98,52 +98,65 @@ def _keep(x, valid):
     return jnp.where(jnp.arange(x.shape[-1]) < valid, x, 0)
 
 
-def _extend(x, before, after, period):
-    """`x`, valid and periodic over `period` samples, with `before` and `after` more samples at its valid ends."""
-    period = jnp.maximum(period, 1)
-    front = jnp.take(x, jnp.arange(-before, 0) % period, axis=-1)
-    back = jnp.take(x, jnp.arange(after) % period, axis=-1)
-    room = jnp.zeros((*x.shape[:-1], after), x.dtype)
-    extended = jnp.concatenate([front, x, room], -1)
-    return lax.dynamic_update_slice_in_dim(extended, back, before + period, -1)
+def _correlate(phases, taps, before, valid, carry):
+    """sum over phase p and q of taps[o, p, q] phases[p][k + q - before], of period `valid` // 2, for both outputs o.
+
+    What an odd level carries over goes from one phase to one output, `carry`; the padding is 0.
+
+    One output after the other, in a loop: XLA compiles one kernel for both, and does not compute an entry again for
+    each of its readers, which takes 3 times as long.
+    """
+    size, after, period = phases.shape[-1], taps.shape[-1] - 1 - before, jnp.maximum(valid // 2, 1)
+    front = jnp.take(phases, jnp.arange(-before, 0) % period, axis=-1)
+    back = jnp.take(phases, jnp.arange(after) % period, axis=-1)
+    room = jnp.zeros((*phases.shape[:-1], after), phases.dtype)
+    extended = jnp.concatenate([front, phases, room], -1)
+    extended = lax.dynamic_update_slice_in_dim(extended, back, before + period, -1)
+    at = jnp.arange(size)
+
+    def output(row):
+        tap, takes = row
+        terms = [
+            tap[p, q] * extended[p, ..., q : q + size]
+            for p in range(2)
+            for q in range(taps.shape[-1])
+            if taps[:, p, q].any()
+        ]
+        rest = jnp.where((at == valid // 2) & takes, phases[carry[0]], 0)
+        return jnp.where(at < valid // 2, sum(terms[1:], terms[0]), rest)
+
+    return lax.map(output, (jnp.asarray(taps, phases.dtype), (jnp.arange(2) == carry[1]) & (valid % 2 == 1)))
 
 
-def _correlate(phases, taps, size, period):
-    """sum over phase p and shift q of taps[o, p, q] phases[p][k + q], periodic, for k < size; one result for each o."""
-    shifts = sorted(q for _, q in taps)
-    before, after = max(0, -shifts[0]), max(0, shifts[-1])
-    extended = [_extend(phase, before, after, period) for phase in phases]
-    outputs = []
-    for o in range(2):
-        terms = [float(tap[o]) * extended[p][..., before + q : before + q + size] for (p, q), tap in taps.items()]
-        outputs.append(_keep(sum(terms[1:], terms[0]), period))
-    return outputs
+@cache
+def _analysis(wavelet: str) -> tuple[np.ndarray, int]:
+    """Taps (output, phase, shift) from the even and odd samples to lo and hi, and how many shifts are negative."""
+    bank = filters(wavelet)
+    offsets = bank.shape[1] // 2 - np.arange(bank.shape[1])
+    shifts = offsets // 2
+    taps = np.zeros((2, 2, np.ptp(shifts) + 1))
+    taps[:, offsets % 2, shifts - shifts.min()] = bank
+    return taps, -shifts.min()
 
 
-def _split(x, bank, valid):
-    """One level of analysis of `x`, zero from `valid` on: (lo, hi), each half as long, rounded up."""
-    size, half = -(-x.shape[-1] // 2), valid // 2
-    phases = jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, 2 * size - x.shape[-1])])
-    phases = [phases[..., 0::2], phases[..., 1::2]]
-    taps = bank.shape[1]
-    offsets = {j: taps // 2 - j for j in range(taps)}
-    lo, hi = _correlate(phases, {(i % 2, i // 2): bank[:, j] for j, i in offsets.items()}, size, half)
-    odd = (jnp.arange(size) == half) & (valid % 2 == 1)
-    return lo, jnp.where(odd, phases[0], hi)
+@cache
+def _synthesis(wavelet: str) -> tuple[np.ndarray, int]:
+    """The transpose of `_analysis`: taps from lo and hi to the even and odd samples."""
+    taps, before = _analysis(wavelet)
+    return taps.transpose(1, 0, 2)[..., ::-1], taps.shape[-1] - 1 - before
 
 
-def _merge(lo, hi, bank, valid, length):
+def _split(x, wavelet, valid):
+    """One level of analysis of `x`, valid up to `valid`: (lo, hi), each half as long, rounded up."""
+    size = -(-x.shape[-1] // 2)
+    x = jnp.pad(x, [(0, 0)] * (x.ndim - 1) + [(0, 2 * size - x.shape[-1])])
+    return _correlate(jnp.stack([x[..., 0::2], x[..., 1::2]]), *_analysis(wavelet), valid, carry=(0, 1))
+
+
+def _merge(lo, hi, wavelet, valid, length):
     """One level of synthesis, the transpose of `_split`."""
-    size, half = lo.shape[-1], valid // 2
-    taps = bank.shape[1]
-    # x[2t + r] = sum_d h[2d + L/2 - r] lo[t + d] + g[2d + L/2 - r] hi[t + d]
-    terms = {}
-    for d in range(-taps, taps + 1):
-        at = [2 * d + taps // 2 - r for r in (0, 1)]
-        if any(0 <= j < taps for j in at):
-            for p in (0, 1):
-                terms[p, d] = [bank[p, j] if 0 <= j < taps else 0.0 for j in at]
-    even, odd = _correlate([lo, hi], terms, size, half)
-    carried = (jnp.arange(size) == half) & (valid % 2 == 1)
-    even = jnp.where(carried, hi, even)
-    return jnp.stack([even, odd], -1).reshape(*lo.shape[:-1], 2 * size)[..., :length]
+    even, odd = _correlate(jnp.stack([lo, hi]), *_synthesis(wavelet), valid, carry=(1, 0))
+    # Interleaved by padding: XLA takes longer to stack along the last axis.
+    none, zero = [(0, 0, 0)] * (lo.ndim - 1), jnp.zeros((), lo.dtype)
+    x = lax.pad(even, zero, [*none, (0, 1, 1)]) + lax.pad(odd, zero, [*none, (1, 0, 1)])
+    return x[..., :length]

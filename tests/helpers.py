@@ -11,6 +11,7 @@ TOLERANCE = {
     "orthogonality": 1e-12,  # W^T W - I, float64
     "adjoint": 1e-12,  # <J v, r> - <v, J^T r>, relative, float64
     "linear solve": 1e-8,  # tree against PCG against dense, relative, float64
+    "stiff float32": 1e-5,  # the step on a tree in float32 at gamma |d|^2 / rho = 1e5, relative
     "one step": 1e-6,  # one Gauss-Newton step against jaxopt, which solves for it by conjugate gradients, metres
     "minimiser": 1e-7,  # Gauss-Newton steps to their end against optimistix, metres
     "svd": 1e-12,  # singular value threshold against numpy.linalg.svd, relative, float64

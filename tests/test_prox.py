@@ -20,21 +20,21 @@ def test_soft_threshold_minimises_its_definition(x, threshold):
 
 
 def matrix_of(x):
-    """(component, joint, frame) as the papers' 3T x S matrix."""
-    return np.asarray(x).transpose(2, 0, 1).reshape(-1, x.shape[1])
+    """(joint, component, frame) as the papers' 3T x S matrix."""
+    return np.asarray(x).transpose(2, 1, 0).reshape(-1, len(x))
 
 
 def by_svd(x, threshold):
     u, s, vt = np.linalg.svd(matrix_of(x).astype(float), full_matrices=False)
-    frames = ((u * np.maximum(s - threshold, 0)) @ vt).reshape(-1, 3, x.shape[1])
-    return frames.transpose(1, 2, 0), np.sort(s)
+    frames = ((u * np.maximum(s - threshold, 0)) @ vt).reshape(-1, x.shape[1], len(x))
+    return frames.transpose(2, 1, 0), np.sort(s)
 
 
 @pytest.mark.parametrize("threshold", [0.0, 0.3, 5.0, 1e3])
 @pytest.mark.parametrize("rank", [1, 4, 6])
 def test_singular_value_threshold_equals_svd(rank, threshold):
     rng = np.random.default_rng(rank)
-    x = np.einsum("sr,crt->cst", rng.normal(size=(6, rank)), rng.normal(size=(3, rank, 50)))
+    x = np.einsum("sr,rct->sct", rng.normal(size=(6, rank)), rng.normal(size=(rank, 3, 50)))
     expected, values = by_svd(x, threshold)
     found, found_values = singular_value_threshold(jnp.asarray(x), threshold)
     scale = values[-1]
@@ -47,8 +47,8 @@ def test_singular_value_threshold_equals_svd(rank, threshold):
 def test_singular_value_threshold_in_float32(x64):
     # Spread over five decades, as in a long take: the smallest values are lost to a float32 Gram matrix.
     rng = np.random.default_rng(0)
-    x = rng.normal(size=(3, 8, 400)) * np.geomspace(1, 1e-5, 8)[:, None]
-    x = np.asarray(np.einsum("ij,cjt->cit", np.linalg.qr(rng.normal(size=(8, 8)))[0], x), np.float32)
+    x = rng.normal(size=(8, 3, 400)) * np.geomspace(1, 1e-5, 8)[:, None, None]
+    x = np.asarray(np.einsum("ij,jct->ict", np.linalg.qr(rng.normal(size=(8, 8)))[0], x), np.float32)
     threshold = 1e-3
     expected, values = by_svd(x, threshold)
     with jax.enable_x64(x64):
@@ -64,7 +64,7 @@ def test_singular_value_threshold_in_float32(x64):
 
 def test_singular_value_threshold_minimises_its_definition():
     rng = np.random.default_rng(3)
-    x, threshold = rng.normal(size=(3, 2, 2)), 0.7
+    x, threshold = rng.normal(size=(2, 3, 2)), 0.7
 
     def definition(y):
         return threshold * np.linalg.norm(matrix_of(y), "nuc") + ((y - x) ** 2).sum() / 2

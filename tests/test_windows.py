@@ -64,7 +64,7 @@ def test_what_progress_raises_ends_a_recovery_before_its_first_window(preset, mo
     def stop(done, total):
         raise KeyboardInterrupt(done, total)
 
-    for module in ("recover", "robust"):
+    for module in ("recovery", "robust"):
         monkeypatch.setattr(import_module(f"motionrecover.{module}"), "run", solve)
     skeleton = SKELETONS["cmu25"]
     with pytest.raises(KeyboardInterrupt) as stopped:

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 Blocks = Float[Array, "6 joint frame"]
-Vectors = Float[Array, "3 joint frame"]
+Vectors = Float[Array, "joint 3 frame"]
 
 
 def scaled_identity(scale: Float[Array, ""], shape: tuple[int, ...], dtype) -> Blocks:
@@ -19,28 +19,29 @@ def scaled_identity(scale: Float[Array, ""], shape: tuple[int, ...], dtype) -> B
 
 def outer(d: Vectors) -> Blocks:
     """d d^T."""
-    x, y, z = d
+    x, y, z = d[:, 0], d[:, 1], d[:, 2]
     return jnp.stack([x * x, x * y, x * z, y * y, y * z, z * z])
 
 
-def solve(blocks: Blocks, *right: Vectors) -> list[Vectors]:
-    """Solutions of M u = b for positive definite blocks M and several b, by LDL^T (Golub & Van Loan, Sec. 4.1).
+def factor(blocks: Blocks) -> Blocks:
+    """The factors of positive definite blocks M = L D L^T (Golub & Van Loan, Sec. 4.1), D inverted.
 
-    LDL^T keeps the accuracy of the well-conditioned directions when a stiff bone makes M nearly rank one; a
+    L D L^T keeps the accuracy of the well-conditioned directions when a stiff bone makes M nearly rank one; a
     cofactor inverse does not.
     """
     xx, xy, xz, yy, yz, zz = blocks
-    a = xy / xx
-    b = xz / xx
+    a, b = xy / xx, xz / xx
     dy = yy - a * xy
     e = yz - a * xz
     c = e / dy
-    dz = zz - b * xz - c * e
-    solutions = []
-    for x, y, z in right:
-        y = y - a * x
-        z = (z - b * x - c * y) / dz
-        y = y / dy - c * z
-        x = x / xx - a * y - b * z
-        solutions.append(jnp.stack([x, y, z]))
-    return solutions
+    return jnp.stack([1 / xx, a, b, 1 / dy, c, 1 / (zz - b * xz - c * e)])
+
+
+def solve(factors: Blocks, right: Vectors) -> Vectors:
+    """The solution of M u = b for `factors` of M: no division is left."""
+    xx, a, b, yy, c, zz = factors
+    x, y, z = right[:, 0], right[:, 1], right[:, 2]
+    y = y - a * x
+    z = zz * (z - b * x - c * y)
+    y = yy * y - c * z
+    return jnp.stack([xx * x - a * y - b * z, y, z], 1)

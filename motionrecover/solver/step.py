@@ -16,6 +16,17 @@ Updates (k -> k + 1, multipliers Z_1..3, penalties rho_1..3; the numbers are the
     Z_1 += rho_1 (E - D + A),  Z_2 += rho_2 (N - A),  Z_3 += rho_3 (C - W A)               12-14
     rho_i <- min(eta_i rho_i, rho_max)                                                     15-17
 
+Written with what the three proxes take away,
+
+    K_1 = D - A - Z_1 / rho_1 - E,    K_2 = A - Z_2 / rho_2 - N,    K_3 = W A - Z_3 / rho_3 - C,
+
+(K_1 and K_3 are clipped, K_2 = J^T y with one force y a bone: `isometry.tree`) lines 8-14 become, since W^T W = I,
+
+    A_new <- svt(A + (rho_1 K_1 - rho_2 K_2 - rho_3 W^T K_3) / rho, 1 / rho),    M = A_new - A
+    Z_1 <- rho_1 (M - K_1),    Z_2 <- -rho_2 (M + K_2),    Z_3 <- -rho_3 (W M + K_3)
+
+which reads and writes less, and adds no rounding to multipliers from step to step. That is what the code does.
+
 Given A, the N-, C- and E-steps do not see each other, so this is ADM with two blocks, (N, C, E) and A. Without the
 isometry term it converges for any constant penalty (Boyd et al., "Distributed Optimization and Statistical Learning
 via ADMM", 2011, Sec. 3.2). A growing penalty forces the constraints to hold whatever the answer; hence `rho_max`, and
@@ -31,34 +42,34 @@ from jaxtyping import Array, Float
 from motionrecover import wavelets
 from motionrecover.isometry import pcg, tree
 from motionrecover.isometry.objective import bone_vectors, residual, transpose_product
-from motionrecover.prox import singular_value_threshold, soft_threshold
-from motionrecover.skeleton import is_forest
+from motionrecover.prox import clip, singular_value_threshold
 from motionrecover.solver.problem import Problem
 from motionrecover.solver.result import Result, Trace
 
-Positions = Float[Array, "3 joint frame"]
-Coefficients = Float[Array, "3 joint coefficient"]
+Positions = Float[Array, "joint 3 frame"]
+Coefficients = Float[Array, "joint 3 coefficient"]
 Scalar = Float[Array, ""]
 
 
 class State(eqx.Module):
-    """The seven variables and three penalties, and two by-products of a step that the next one needs again.
+    """The seven variables and three penalties, and W A, which a step leaves to the next.
 
-    Variables of a term that is left out are empty.
+    Variables of a term that is left out are empty. A joint is a row of 3 T numbers: bones take whole rows, the
+    singular value threshold multiplies from the left, filters run along the row.
     """
 
+    d: Positions
+    """D, in the order of the variables."""
+    scale: Float[Array, "2"]
+    """|D| and |lambda w|, and 1 where they are 0: what the residuals are relative to."""
     a: Positions
     e: Positions
     n: Positions
-    c: Coefficients
     z1: Positions
     z2: Positions
     z3: Coefficients
     penalty: Float[Array, "3"]
     wa: Coefficients
-    """W A."""
-    gradient: Positions
-    """gamma J^T F at N."""
 
 
 class Info(eqx.Module):
@@ -105,13 +116,14 @@ class Solver(eqx.Module):
 
     def init(self, problem: Problem) -> State:
         """Line 2 of Algorithm 1: E = Z = 0, N = D, and A = D (or 0 where `zero_start`)."""
-        d = problem.positions
+        d = problem.positions.swapaxes(0, 1)
         zero, empty = jnp.zeros_like(d), d[..., :0]
         a = zero if self.zero_start else d
-        n, z2, gradient = (d, zero, self._linearise(problem, d)[1]) if self.isometry else (empty, empty, empty)
+        n, z2 = (d, zero) if self.isometry else (empty, empty)
         wa = self._wavedec(problem, a) if self.smoothness else empty
-        c = jnp.zeros_like(wa)
-        return State(a, zero, n, c, zero, z2, c, self.penalty, wa, gradient)
+        scale = jnp.sqrt(jnp.stack([_square(d), _square(self.outlier_weight * problem.weights)]))
+        scale = jnp.where(scale > 0, scale, 1)
+        return State(d, scale, a, zero, n, zero, z2, jnp.zeros_like(wa), self.penalty, wa)
 
     def step(self, problem: Problem, state: State) -> tuple[State, Info]:
         """One pass through lines 4-17.
@@ -122,48 +134,48 @@ class Solver(eqx.Module):
         against |lambda w|, the largest norm that Z_1 can have at a solution, the primal residual against |D|: both are
         then free of units and of the length of the clip.
         """
-        d, w = problem.positions, problem.weights
+        d, w = state.d, problem.weights[:, None]
+        a, n, z1, z2, z3 = state.a, state.n, state.z1, state.z2, state.z3
         rho1, rho2, rho3 = state.penalty
-        n, z2, c, z3, gradient = state.n, state.z2, state.c, state.z3, state.gradient
+        k2 = c = k3 = jnp.zeros_like(rho1)
         inner_steps = jnp.array(0)
 
+        x = d - a - z1 * (1 / rho1)
+        k1 = clip(x, self.outlier_weight * w / rho1)
+        e = x - k1
+        h, rho = rho1 * k1, rho1
         if self.isometry:
-            right = -z2 - rho2 * (n - state.a) - gradient
-            delta, inner_steps = self._solve(problem, n, right, rho2)
-            n = n + delta
+            p = a - z2 * (1 / rho2)
+            n, inner_steps = self._bend(problem, n, p, rho2)
+            k2 = p - n
+            h, rho = h - rho2 * k2, rho + rho2
         if self.smoothness:
-            c = soft_threshold(state.wa - z3 / rho3, self.smoothness_weight / rho3)
-        e = soft_threshold(d - state.a - state.z1 / rho1, self.outlier_weight * w / rho1)
-
-        h, rho = rho1 * (d - e) - state.z1, rho1
-        if self.isometry:
-            h, rho = h + rho2 * n + z2, rho + rho2
-        if self.smoothness:
-            h, rho = h + self._waverec(problem, rho3 * c + z3), rho + rho3
-        a, values = singular_value_threshold(h / rho, 1 / rho)
+            x = state.wa - z3 * (1 / rho3)
+            k3 = clip(x, self.smoothness_weight / rho3)
+            c = x - k3
+            h, rho = h - rho3 * self._waverec(problem, k3), rho + rho3
+        new, values = singular_value_threshold(a + h * (1 / rho), 1 / rho)
         values = jnp.maximum(values - 1 / rho, 0)
 
-        change = jnp.sum((a - state.a) ** 2)
-        gap1 = e - d + a
-        z1 = state.z1 + rho1 * gap1
-        primal, dual = jnp.sum(gap1**2), rho1**2 * change
+        moved = new - a
+        change = _square(moved)
+        z1 = rho1 * (moved - k1)
+        primal, dual = _square(e - d + new), rho1**2 * change
         isometry = smoothness = jnp.zeros_like(primal)
         wa = state.wa
         if self.isometry:
-            gap2 = n - a
-            z2 = z2 + rho2 * gap2
+            z2 = -rho2 * (moved + k2)
             isometry, gradient = self._linearise(problem, n)
-            primal, dual = primal + jnp.sum(gap2**2), dual + jnp.sum((gradient + z2) ** 2)
+            primal, dual = primal + _square(n - new), dual + _square(gradient + z2)
         if self.smoothness:
-            wa = self._wavedec(problem, a)
-            gap3 = c - wa
-            z3 = z3 + rho3 * gap3
-            primal, dual = primal + jnp.sum(gap3**2), dual + rho3**2 * change
+            wa = self._wavedec(problem, new)
+            z3 = rho3 * (state.wa - wa - k3)
+            primal, dual = primal + _square(c - wa), dual + rho3**2 * change
             smoothness = self.smoothness_weight * jnp.abs(c).sum()
 
         info = Info(
-            primal_residual=_relative(primal, jnp.sum(d**2)),
-            dual_residual=_relative(dual, jnp.sum((self.outlier_weight * w) ** 2)),
+            primal_residual=jnp.sqrt(primal) / state.scale[0],
+            dual_residual=jnp.sqrt(dual) / state.scale[1],
             nuclear=values.sum(),
             outlier=self.outlier_weight * jnp.abs(w * e).sum(),
             isometry=isometry,
@@ -173,7 +185,7 @@ class Solver(eqx.Module):
             inner_steps=inner_steps,
         )
         penalty = jnp.minimum(state.penalty * self.penalty_growth, self.penalty_max)
-        return State(a, e, n, c, z1, z2, z3, penalty, wa, gradient), info
+        return State(d, state.scale, new, e, n, z1, z2, z3, penalty, wa), info
 
     def check(self, problem: Problem) -> Result:
         """Verdict before the first step: on the input."""
@@ -189,9 +201,11 @@ class Solver(eqx.Module):
         result = Result.where(done, Result.converged, Result.running)
         return Result.where(finite, result, Result.non_finite)
 
-    def answer(self, problem: Problem, state: State) -> tuple[Positions, Positions]:
+    def answer(
+        self, problem: Problem, state: State
+    ) -> tuple[Float[Array, "3 joint frame"], Float[Array, "3 joint frame"]]:
         """A and E."""
-        return state.a, state.e
+        return state.a.swapaxes(0, 1), state.e.swapaxes(0, 1)
 
     def _wavedec(self, problem, x):
         return wavelets.wavedec(x, self.wavelet, self.level, problem.frames)
@@ -199,22 +213,30 @@ class Solver(eqx.Module):
     def _waverec(self, problem, c):
         return wavelets.waverec(c, problem.positions.shape[-1], self.wavelet, self.level, problem.frames)
 
-    def _linearise(self, problem, n):
-        """gamma / 2 E_iso(N) over the valid frames, and its gradient gamma J^T F."""
+    def _bones(self, problem, n):
+        """Bone vectors of N, and F; 0 in the padding."""
         d = bone_vectors(n, problem.edges)
-        f = jnp.where(jnp.arange(n.shape[-1]) < problem.frames, residual(d, problem.bone_lengths), 0)
-        gradient = self.isometry_weight * transpose_product(d, f, problem.edges, n.shape[1])
+        return d, jnp.where(jnp.arange(n.shape[-1]) < problem.frames, residual(d, problem.bone_lengths), 0)
+
+    def _linearise(self, problem, n):
+        """gamma / 2 E_iso(N), and its gradient gamma J^T F."""
+        d, f = self._bones(problem, n)
+        gradient = self.isometry_weight * transpose_product(d, f, problem.edges, len(n))
         return self.isometry_weight / 2 * jnp.sum(f**2), gradient
 
-    def _solve(self, problem, n, right, rho):
-        """Eq. 20: by elimination on a forest, by conjugate gradients on any other graph."""
-        d, joints = bone_vectors(n, problem.edges), n.shape[1]
-        if is_forest(problem.edges, joints):
-            return tree.solve(d, right, self.isometry_weight, rho, problem.edges), jnp.array(0)
+    def _bend(self, problem, n, p, rho):
+        """One step of Eq. 20 from N towards the prox of the isometry term at P, and the inner steps it took.
+
+        By elimination where it suits, else by conjugate gradients.
+        """
+        d, f = self._bones(problem, n)
+        if tree.suits(problem.edges, len(n)):
+            return p - tree.solve(d, f, p - n, self.isometry_weight, rho, problem.edges), jnp.array(0)
         # 1e-3: one Gauss-Newton step is itself inexact, and the next one starts from its remainder.
-        return pcg.solve(d, right, self.isometry_weight, rho, problem.edges, 1e-3, 3 * joints)
+        delta, steps = pcg.solve(d, f, p - n, self.isometry_weight, rho, problem.edges, 1e-3, 3 * len(n))
+        return n + delta, steps
 
 
-def _relative(square, scale_square):
-    """sqrt(square / scale_square), and sqrt(square) where there is no scale."""
-    return jnp.sqrt(square / jnp.where(scale_square > 0, scale_square, 1))
+def _square(x):
+    """|x|^2."""
+    return jnp.sum(x * x)

@@ -1,0 +1,207 @@
+"""`docs/performance.md` and its picture, made of the committed results.
+
+python -m benchmarks.speed.page
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from benchmarks.markdown import table
+from benchmarks.speed.rows import ROOT
+from motionrecover.io.atomic import write_beside
+
+RESULTS = Path(__file__).parent / "results.json"
+PAGE = ROOT / "docs" / "performance.md"
+FIGURE = ROOT / "docs" / "figures" / "performance.png"
+TITLE = """# Performance
+
+Made by `python -m benchmarks.speed` (about ten minutes), which measures everything anew; a test holds this page to the
+committed `benchmarks/speed/results.json`. Rows that compare take turns in one process and the best of several runs
+counts; rows of one core are pinned to it, with one thread for XLA and BLAS.
+
+{machine}; {versions}."""
+ITERATIONS = """Seconds for 40 iterations of `str_yang2020` on the whole clip at once: a made-up motion of {joints}
+joints, 20 % of its samples displaced; one core. Ours is `recover`, float32, without compiling. The others:
+
+- reference: `benchmarks/reference.py`, NumPy, PyWavelets and SciPy's sparse conjugate gradients, float64;
+- numpy: vectorised over frames, float64, the systems of all frames by one `np.linalg.solve`;
+- numpy elimination: our algorithm in NumPy, float64 (what is left is the compiler's);
+- optimistix + lineax, jaxopt: assembled from the parts of these libraries in JAX, float32.
+
+The second table is the mean joint error of each in mm: the time of one that has another error than the rest says
+nothing. The conjugate gradients of the two libraries see all frames as one system, and lose their way on long clips."""
+LIMIT = """An iteration must read or write {arrays:.1f} arrays of the size of D, because the singular value threshold
+must have seen all of H before any of A (`benchmarks/speed/limit.py` counts them). At the bandwidth at which this core
+copies blocks of the size of the eight arrays that an iteration keeps, that is the limit: where the filters, the
+products and the elimination cost nothing and everything made on the way stays in the cache."""
+OTHERS = """40 iterations on long clips, one core; peak memory of `recover` above that of its imports. Compiling
+takes about 100 MB of it, whatever the length."""
+
+
+def render(results: dict) -> str:
+    """The page."""
+    rows = results["rows"]
+    found = [row for name, row in rows.items() if name.startswith("iterations-")]
+    versions = ", ".join(f"{name} {number}" for name, number in results["versions"].items())
+    blocks = [
+        TITLE.format(machine=results["machine"], versions=versions),
+        "## The same iterations, computed in other ways",
+        ITERATIONS.format(joints=found[0]["joints"]),
+        _iterations(found),
+        _errors(found),
+        "## The limit",
+        LIMIT.format(arrays=_arrays()),
+        _limit(found),
+        "![Seconds of 40 iterations against frames](figures/performance.png)",
+        "## Long clips",
+        OTHERS,
+        _long(rows),
+        "## Starting, compiling, many clips",
+        _starting(rows, found),
+        "## `robust`",
+        _robust(rows["robust"]),
+        "## Batches",
+        _batch(rows),
+    ]
+    return "\n\n".join(blocks) + "\n"
+
+
+def _iterations(found: list[dict]) -> str:
+    names = [name for name in found[0]["seconds"] if name != "ours"]
+    head = ["frames", "ours, s", *(f"{name}, s" for name in names), *(f"{name} / ours" for name in names)]
+    lines = []
+    for row in found:
+        seconds = row["seconds"]
+        ratios = [f"**{_number(seconds[name] / seconds['ours'])}**" for name in names]
+        times = [_number(seconds[name]) for name in ("ours", *names)]
+        lines.append([str(row["frames"]), *times, *ratios])
+    return table(head, lines)
+
+
+def _errors(found: list[dict]) -> str:
+    names = list(found[0]["aje"])
+    lines = [
+        [str(row["frames"]), *(f"{row['aje'][name]:.4f}" for name in names), f"{row['float64_apart_mm']:.2g}"]
+        for row in found
+    ]
+    return table(["frames", *names, "ours in float32 from float64"], lines)
+
+
+def _arrays() -> float:
+    from benchmarks.speed.limit import ARRAYS
+
+    return ARRAYS
+
+
+def _limit(found: list[dict]) -> str:
+    lines = [
+        [
+            str(row["frames"]),
+            f"{row['bandwidth'] / 1e9:.1f}",
+            _number(1e3 * row["limit"] / row["steps"]),
+            _number(1e3 * row["seconds"]["ours"] / row["steps"]),
+            f"**{row['seconds']['ours'] / row['limit']:.1f}**",
+        ]
+        for row in found
+    ]
+    return table(["frames", "copy, GB/s", "limit, ms an iteration", "ours, ms", "ours / limit"], lines)
+
+
+def _long(rows: dict) -> str:
+    long = rows["long"]
+    sizes = [row for name, row in rows.items() if name.startswith("memory-")]
+    lines = [
+        [f"{frames} frames", f"{1e6 * seconds:.0f} us a frame"]
+        for frames, seconds in zip(long["frames"], long["seconds_a_frame"], strict=True)
+    ]
+    lines.append(["ratio", f"**{long['ratio']:.2f}**"])
+    sizes.sort(key=lambda row: row["frames"])
+    grown = [row["arrays"] * row["frames"] for row in sizes[-2:]]
+    growth = (grown[1] - grown[0]) / (sizes[-1]["frames"] - sizes[-2]["frames"])
+    lines += [[f"memory, {row['frames']} frames", f"{row['arrays']:.0f} arrays of the size of D"] for row in sizes]
+    lines.append(["memory, each further frame", f"**{growth:.0f}** times the frame in D"])
+    return table(["", ""], lines)
+
+
+def _starting(rows: dict, found: list[dict]) -> str:
+    importing, command, many = rows["import"], rows["command"], rows["many"]
+    lines = [
+        ["compiling `str_yang2020`, one core", f"{max(row['compile'] for row in found):.2f} s at most"],
+        ["`import motionrecover`", f"{importing['motionrecover']:.2f} s, {importing['ratio']:.2f} of `import jax`"],
+    ]
+    for name, ratio in command["ratio"].items():
+        preset, cache = name.split()
+        seconds = f"{command['seconds'][name]:.1f} s, {ratio:.1f} of a process that compiles x + 1"
+        lines.append([f"command, 300 frames, `{preset}`, {cache} cache", seconds])
+    for name in ("recover_many", "recover"):
+        row = many[name]
+        how = f"{many['clips']} clips with `{name}`" + (f" on {many['processors']} cores" if "_" in name else "")
+        lines.append([how, f"{row['first']:.1f} s, {row['compiled']} compilations; again {row['again']:.1f} s"])
+    return table(["", ""], lines)
+
+
+def _robust(row: dict) -> str:
+    seconds, peer = row["seconds"], row["seconds"]["hampel + butterworth"]
+    lines = [
+        [name, _number(seconds[name]), f"{seconds[name] / peer:.1f}", f"{row['aje'][name]:.2f}"] for name in seconds
+    ]
+    head = [f"{row['frames']} frames, 24 joints, 5 % displaced, one core", "s", "/ hampel + butterworth", "AJE, mm"]
+    return table(head, lines)
+
+
+def _batch(rows: dict) -> str:
+    lines = [
+        [
+            row["device"],
+            str(row["clips"]),
+            str(row["frames"]),
+            str(row["steps"]),
+            f"{row['seconds']:.2f}",
+            f"{row['frames_a_second']:,.0f}",
+            f"{row['aje']:.2f}",
+        ]
+        for name, row in rows.items()
+        if name.startswith("batch")
+    ]
+    return table(["one vmapped program on", "clips", "frames", "iterations", "s", "frames / s", "AJE, mm"], lines)
+
+
+def _number(value: float) -> str:
+    return f"{value:.3g}" if value < 100 else f"{value:.0f}"
+
+
+def draw(results: dict, path: Path) -> None:
+    """Seconds of 40 iterations against frames, with the limit and four times it."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    found = [row for name, row in results["rows"].items() if name.startswith("iterations-")]
+    frames = [row["frames"] for row in found]
+    figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
+    limit = [row["limit"] for row in found]
+    axes.fill_between(frames, limit, [4 * x for x in limit], color="0.85", label="the limit to 4 times it")
+    for name in found[0]["seconds"]:
+        width = 2.5 if name == "ours" else 1.2
+        axes.plot(frames, [row["seconds"][name] for row in found], marker="o", linewidth=width, label=name)
+    axes.set(xscale="log", yscale="log", xlabel="frames", ylabel="seconds for 40 iterations, one core")
+    axes.set_xticks(frames, [str(x) for x in frames])
+    axes.minorticks_off()
+    axes.legend()
+    figure.savefig(path, dpi=120)
+    plt.close(figure)
+
+
+def main() -> None:
+    """Write the page and the picture."""
+    results = json.loads(RESULTS.read_text(encoding="utf-8"))
+    with write_beside(PAGE, overwrite=True) as temporary:
+        temporary.write_text(render(results), encoding="utf-8")
+    draw(results, FIGURE)
+
+
+if __name__ == "__main__":
+    main()
