@@ -39,7 +39,7 @@ def recover_many(clips: Iterable[Motion], *, workers: int | None = None, **setti
     The workers are threads: compiled programs let each other run, and a clip that takes more steps than others keeps
     only its own worker, which in one batched program would keep all. An answer is that of `recover`.
     """
-    workers = _processors() if workers is None else workers
+    workers = processors() if workers is None else workers
     if workers < 1:
         raise ValueError(f"received {workers} workers: give at least 1")
     return _outcomes(clips, workers, settings)
@@ -69,6 +69,6 @@ def _outcome(index, clip, settings):
     return Outcome(index, recovery, None)
 
 
-def _processors():
-    """Those this process may use."""
+def processors():
+    """Number of those that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

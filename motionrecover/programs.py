@@ -52,6 +52,16 @@ def keep_in(folder: Path) -> None:
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
+def user_folder() -> Path:
+    """Where the user's programs are kept: `motionrecover` in the user's cache folder."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "motionrecover"
+
+
+def made() -> int:
+    """Programs that this process has compiled, or taken from where they are kept."""
+    return _compile.cache_info().misses
+
+
 def run(function: Callable, arrays: dict[str, Any], static: dict[str, Any], seconds: dict[str, float]) -> Any:
     """`function` of named arrays (any pytrees) and of static values, compiled for their shapes; the answer in NumPy.
 
@@ -63,11 +73,11 @@ def run(function: Callable, arrays: dict[str, Any], static: dict[str, Any], seco
     leaves = [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf) for leaf in leaves]
     start = time.perf_counter()
     with _lock:
-        known = _compile.cache_info().misses
+        known = made()
         shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
         program, returned = _compile(function, structure, shapes, tuple(static.items()))
         compiled = time.perf_counter()
-        if _compile.cache_info().misses > known:
+        if made() > known:
             seconds["compile"] += compiled - start
     found = jax.device_get(program(leaves))
     seconds["run"] += time.perf_counter() - compiled

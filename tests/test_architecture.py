@@ -30,6 +30,8 @@ LAYERS = [
     {"recovery"},
     {"many"},
     {"figures", "report", "view"},
+    {"files"},
+    {"batch"},
     {"cli", "__main__"},
 ]
 """Top-level modules from the bottom up; a module may import its own layer and those below. `__init__` sees all."""

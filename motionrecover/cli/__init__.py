@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from motionrecover import __version__
-from motionrecover.cli import changing, demo, looking, recovery, terminal
+from motionrecover.cli import batch, changing, demo, looking, recovery, terminal
 
 _QUICKLY = "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling,xla_disable_slp_vectorizer"
 
@@ -27,6 +27,7 @@ for command in (
     looking.info,
     looking.skeleton,
     recovery.recover,
+    batch.batch,
     looking.view,
     looking.evaluate,
     changing.corrupt,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
+from motionrecover import presets
 from motionrecover.cli import settings
 from motionrecover.standards import STANDARDS
 
@@ -52,6 +53,34 @@ SkipFirst = Annotated[
         "--skip-first", help="Leave frame 0 out, an added T-pose in some BVH files.", rich_help_panel=_READING
     ),
 ]
+PRESET = "robust"
+Preset = Annotated[
+    str,
+    typer.Option(
+        metavar="NAME",
+        help=f"Model: {', '.join(presets.PRESETS)}.",
+        autocompletion=lambda: list(presets.PRESETS),
+    ),
+]
+BoneLengths = Annotated[
+    Literal["auto", "estimate", "rest"],
+    typer.Option(
+        help="Bone lengths from the clip itself, or from the rest pose in the file. auto: from the rest pose of a "
+        "BVH whose frames keep it, else from the clip."
+    ),
+]
+MaxGap = Annotated[
+    int | None, typer.Option(min=0, metavar="FRAMES", help="Leave longer gaps missing instead of filling them.")
+]
+FillUnseen = Annotated[
+    bool, typer.Option("--fill-unseen", help="Place joints that no frame shows by their bones alone.")
+]
+PlantFeet = Annotated[bool, typer.Option("--plant-feet", help="Hold feet in place while they stand on the ground.")]
+Symmetric = Annotated[
+    bool, typer.Option("--symmetric", help="Draw estimated lengths of left and right bones together.")
+]
+MaxSteps = Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop after so many steps.")]
+Dtype = Annotated[Literal["float32", "float64"], typer.Option(help="Precision of the answer.")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files that exist.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead of text.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors.")]

@@ -56,9 +56,14 @@ def check_report(path: Path, overwrite: bool) -> None:
     """Refuse, before any work, a report that could not be written after it."""
     if path.suffix.lower() != ".html":
         raise ValueError(f"{path} is no name of a report: give one that ends in .html")
+    check_plotly()
+    check_place(path, overwrite)
+
+
+def check_plotly() -> None:
+    """Refuse a report, before any work, where nothing can draw it."""
     if importlib.util.find_spec("plotly") is None:
         raise ValueError("a report needs plotly: pip install motionrecover[report]")
-    check_place(path, overwrite)
 
 
 def matched(truth: Motion, clip: Motion, truth_path: Path, path: Path) -> tuple[Motion, list[str]]:

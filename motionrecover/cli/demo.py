@@ -11,7 +11,7 @@ import typer
 
 from motionrecover.cli import arguments as given
 from motionrecover.cli import terminal
-from motionrecover.cli.recovery import PRESET, run
+from motionrecover.cli.recovery import run
 
 
 def demo(
@@ -32,7 +32,7 @@ def demo(
     from motionrecover.corrupt import apply
     from motionrecover.figures import FIGURES, write_figures
     from motionrecover.io import save
-    from motionrecover.report import write_report
+    from motionrecover.report import account, write_report
     from motionrecover.synthetic import synthesize
 
     terminal.hush(quiet)
@@ -45,7 +45,7 @@ def demo(
         checks.check_place(path, overwrite)
     corrupted = truth.with_positions(apply("iid-20", truth.positions, seed)[0], f"corrupted by iid-20, seed {seed}")
     recovery, recovered = run(
-        corrupted, PRESET, quiet=quiet, hidden=quiet or json, cached=not no_cache, verbose=verbose
+        corrupted, given.PRESET, quiet=quiet, hidden=quiet or json, cached=not no_cache, verbose=verbose
     )
     for path, clip in zip(paths, (truth, corrupted, corrupted, recovered, recovered), strict=False):
         save(clip, path, overwrite=overwrite)
@@ -70,8 +70,8 @@ def demo(
     found = {
         "frames": len(truth),
         "joints": len(truth.names),
-        **facts.verdict(recovery),
-        **facts.measures(clips, truth.skeleton, recovery.bone_lengths, truth),
+        **account.verdict(recovery),
+        **account.measures(clips, truth.skeleton, recovery.bone_lengths, truth),
         "written": [str(path) for path in paths],
     }
     if json:

@@ -14,8 +14,7 @@ from motionrecover.io.border import counted
 from motionrecover.motion import UNITS, Motion
 from motionrecover.recovery import Recovery
 from motionrecover.report.account import measured
-from motionrecover.robust import Change
-from motionrecover.skeleton import ZERO_LENGTH, Skeleton
+from motionrecover.skeleton import ZERO_LENGTH
 
 AJE, ABE, DEVIATION = "joint error (AJE)", "bone-length error (ABE)", "bone-length deviation"
 """The last is the mean of |length - one length a bone|: of a rigid body it is 0."""
@@ -29,15 +28,6 @@ def size(motion: Motion) -> str:
         f"{counted(len(motion), 'frame')} at {motion.fps:g} fps ({motion.seconds:.1f} s), "
         f"{counted(len(motion.names), 'joint')}"
     )
-
-
-def keeps_rest(motion: Motion) -> bool:
-    """Whether a clip that came from BVH has its bones at the lengths of the rest pose, within half a millimetre."""
-    rest = motion.skeleton.rest_lengths
-    if motion.rig is None or rest is None:
-        return False
-    lengths = estimate_bone_lengths(motion.skeleton.bone_lengths_of(measured(motion))).length
-    return bool((np.abs(lengths - rest) < 0.0005).all())
 
 
 def contents(motion: Motion) -> Facts:
@@ -146,63 +136,12 @@ def apart(motion: Motion, other: Motion) -> Facts:
     return {"mean": float(off.mean()), "largest": float(off.max())} if len(off) else {"mean": 0.0, "largest": 0.0}
 
 
-def verdict(recovery: Recovery) -> Facts:
-    """How the solver ended."""
-    return {
-        "converged": recovery.converged,
-        "message": recovery.message,
-        "steps": recovery.steps,
-        "seconds": recovery.seconds,
-    }
-
-
 def verdict_line(recovery: Recovery) -> str:
     """The verdict in a line, or in its own sentence where it is not the best one."""
     seconds = f"compiled in {recovery.seconds['compile']:.1f} s, ran {recovery.seconds['run']:.1f} s"
     if recovery.converged:
         return f"converged after {counted(recovery.steps, 'step')}; {seconds}"
     return f"{recovery.message}\n{counted(recovery.steps, 'step')}; {seconds}"
-
-
-def measures(
-    clips: dict[str, np.ndarray], skeleton: Skeleton, lengths: np.ndarray, truth: Motion | None = None
-) -> Facts:
-    """Errors of each clip against the bone lengths that were used, and against the truth if there is one."""
-
-    # All clips are measured where all have a position, so that their numbers compare.
-    known = np.logical_and.reduce([np.isfinite(positions).all(-1) for positions in clips.values()])
-
-    def each(measure) -> dict[str, float]:
-        return {name: 1000 * measure(positions) for name, positions in clips.items()}
-
-    facts = {}
-    if truth is not None:
-        counts = known & truth.observed
-        facts["aje_mm"] = each(lambda positions: metrics.aje(positions, truth.positions, counts))
-        facts["abe_mm"] = each(lambda positions: metrics.abe(positions, truth.positions, skeleton, counts))
-    bones = [bone for bone, length in enumerate(lengths) if np.isfinite(length)]
-    edges = [skeleton.edges[bone] for bone in bones]
-    return facts | {
-        "bone_length_deviation_mm": each(lambda positions: metrics.abe(positions, lengths[bones], edges, known))
-    }
-
-
-def changes(recovery: Recovery) -> Facts:
-    """What happened to how many samples, and what stays unknown."""
-    names = recovery.skeleton.names
-    unknown = recovery.changed == Change.UNKNOWN
-    filled = recovery.changed == Change.FILLED
-    doubt = recovery.uncertainty[filled & np.isfinite(recovery.uncertainty)]
-    return {
-        "samples": {kind.name.lower(): int((recovery.changed == kind).sum()) for kind in Change},
-        "filled_uncertainty_mm": 1000 * float(doubt.mean()) if len(doubt) else None,
-        "swaps": [
-            f"{names[swap.first_joint]} and {names[swap.second_joint]}, frames {swap.start} to {swap.stop - 1}"
-            for swap in recovery.swaps
-        ],
-        "never_seen": [name for joint, name in enumerate(names) if not recovery.observed[:, joint].any()],
-        "partly_unknown": [name for joint, name in enumerate(names) if unknown[:, joint].any()],
-    }
 
 
 def print_changes(facts: Facts) -> None:

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import warnings
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from motionrecover import __version__, presets
+from motionrecover import presets
 from motionrecover.cli import arguments as given
 from motionrecover.cli import settings, terminal
 
@@ -19,42 +18,19 @@ if TYPE_CHECKING:
     from motionrecover.motion import Motion
     from motionrecover.recovery import Recovery
 
-PRESET = "robust"
-
 
 def recover(
     context: typer.Context,
     path: given.Input,
     output: given.Output,
-    preset: Annotated[
-        str,
-        typer.Option(
-            metavar="NAME",
-            help=f"Model: {', '.join(presets.PRESETS)}.",
-            autocompletion=lambda: list(presets.PRESETS),
-        ),
-    ] = PRESET,
-    bone_lengths: Annotated[
-        Literal["auto", "estimate", "rest"],
-        typer.Option(
-            help="Bone lengths from the clip itself, or from the rest pose in the file. auto: from the rest pose of a "
-            "BVH whose frames keep it, else from the clip."
-        ),
-    ] = "auto",
-    max_gap: Annotated[
-        int | None, typer.Option(min=0, metavar="FRAMES", help="Leave longer gaps missing instead of filling them.")
-    ] = None,
-    fill_unseen: Annotated[
-        bool, typer.Option("--fill-unseen", help="Place joints that no frame shows by their bones alone.")
-    ] = False,
-    plant_feet: Annotated[
-        bool, typer.Option("--plant-feet", help="Hold feet in place while they stand on the ground.")
-    ] = False,
-    symmetric: Annotated[
-        bool, typer.Option("--symmetric", help="Draw estimated lengths of left and right bones together.")
-    ] = False,
-    max_steps: Annotated[int | None, typer.Option(min=1, metavar="N", help="Stop after so many steps.")] = None,
-    dtype: Annotated[Literal["float32", "float64"], typer.Option(help="Precision of the answer.")] = "float32",
+    preset: given.Preset = given.PRESET,
+    bone_lengths: given.BoneLengths = "auto",
+    max_gap: given.MaxGap = None,
+    fill_unseen: given.FillUnseen = False,
+    plant_feet: given.PlantFeet = False,
+    symmetric: given.Symmetric = False,
+    max_steps: given.MaxSteps = None,
+    dtype: given.Dtype = "float32",
     truth: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The true motion, if known, to measure the errors against.")
     ] = None,
@@ -84,12 +60,13 @@ def recover(
     unit and axes of IN, from C3D to C3D everything of IN but the points. Where IN names no bones, they are pairs of
     joints that keep their distance. --truth is read with the same options as IN.
     """
+    from motionrecover import files
     from motionrecover.cli import checks, facts
     from motionrecover.figures import FIGURES, write_figures
     from motionrecover.intake import fill
     from motionrecover.io import load, save
-    from motionrecover.io.bvh_out import posed, rig_of
-    from motionrecover.report import write_report
+    from motionrecover.io.bvh_out import posed
+    from motionrecover.report import account, write_report
 
     terminal.hush(quiet)
     presets.find(preset)
@@ -100,19 +77,10 @@ def recover(
     if figures is not None:
         checks.check_figures(figures, overwrite)
     asked = {"skeleton": skeleton, "unit": unit, "up": up, "fps": fps, "skip_first": skip_first}
-    clip = load(path, format=format, **asked)
-    made = settings.provenance(context, path)
-    if not clip.observed.any():
-        raise ValueError(f"{path} holds no measured sample: there is nothing to recover from")
-    reference = None if truth is None else checks.matched(load(truth, **asked), clip, truth, path)[0]
     as_rotations = output.suffix.lower() == ".bvh"
-    if as_rotations:
-        rig_of(clip)  # refuses what BVH cannot hold before the work
-    if bone_lengths == "auto":
-        bone_lengths = "rest" if facts.keeps_rest(clip) else "estimate"
-    lengths = clip.skeleton.rest_lengths if bone_lengths == "rest" else None
-    if bone_lengths == "rest" and lengths is None:
-        raise ValueError(f"{path} brings no rest pose to take bone lengths from: use --bone-lengths estimate")
+    clip, bone_lengths, lengths = files.take_in(path, bone_lengths, as_bvh=as_rotations, format=format, **asked)
+    made = settings.provenance(context, path)
+    reference = None if truth is None else checks.matched(load(truth, **asked), clip, truth, path)[0]
     chosen = {
         "max_gap": max_gap,
         "fill_unseen": fill_unseen,
@@ -122,7 +90,7 @@ def recover(
         "dtype": dtype,
     }
     pictures = [] if figures is None else [figures / name for name in FIGURES]
-    files = [output, settings.beside(output), *([] if report is None else [report]), *pictures]
+    outputs = [output, settings.beside(output), *([] if report is None else [report]), *pictures]
     found = {
         "input": str(path),
         "output": str(output),
@@ -144,7 +112,7 @@ def recover(
         elif not quiet:
             print(f"{path}: {facts.size(clip)}, {terminal.percent(found['missing_share'])} of the samples missing")
             print(f"would recover it with {preset}, bone lengths: {bone_lengths}, windows: {found['windows']}")
-            print("would write", ", ".join(map(str, files)))
+            print("would write", ", ".join(map(str, outputs)))
         return
 
     recovery, recovered = run(
@@ -170,9 +138,9 @@ def recover(
 
     clips = {"before": fill(facts.measured(clip)), "after": recovered.positions}
     found |= {
-        **facts.verdict(recovery),
-        **facts.measures(clips, clip.skeleton, recovery.bone_lengths, reference),
-        **facts.changes(recovery),
+        **account.verdict(recovery),
+        **account.measures(clips, clip.skeleton, recovery.bone_lengths, reference),
+        **account.changes(recovery),
         "rotations_mm": facts.apart(written, recovered) if as_rotations else None,
     }
     if json:
@@ -186,7 +154,7 @@ def recover(
         facts.print_changes(found)
         if as_rotations:
             facts.print_apart(found)
-        print("wrote", ", ".join(map(str, files)))
+        print("wrote", ", ".join(map(str, outputs)))
 
 
 def run(
@@ -196,19 +164,16 @@ def run(
 
     `quiet` prints no notes, `hidden` shows no progress, `cached` keeps programs.
     """
+    from motionrecover import files
     from motionrecover.io.border import counted
 
     terminal.show_log(quiet)
     if cached:
-        _keep_programs()
+        keep_programs()
     recovery = terminal.work(
         f"recovering {counted(len(clip), 'frame')}", hidden, partial(_recover, clip, preset, **chosen)
     )
-    ended = "converged" if recovery.converged else "not converged"
-    note = f"recovered with {preset} of motionrecover {__version__}: {counted(recovery.steps, 'step')}, {ended}"
-    if digest is not None:
-        note += f"; SHA-256 of the input {digest}"
-    return recovery, clip.with_positions(recovery.positions, note)
+    return recovery, files.answer(clip, recovery, preset, digest)
 
 
 def _recover(clip: Motion, preset: str, **chosen: Any) -> Recovery:
@@ -235,12 +200,14 @@ def _windows(clip: Motion, preset: str, **chosen: Any) -> int:
     return windows[0]
 
 
-def _keep_programs() -> None:
-    """Compiled programs go to and come from the user's cache folder, if it can be written."""
+def keep_programs() -> Path | None:
+    """Have compiled programs go to and come from the user's cache folder, and name it, if it can be written."""
     from motionrecover import programs
 
-    root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    folder = programs.user_folder()
     try:
-        programs.keep_in(Path(root) / "motionrecover")
+        programs.keep_in(folder)
     except OSError as error:
         warnings.warn(f"compiled programs are not kept: {error}", stacklevel=1)
+        return None
+    return folder

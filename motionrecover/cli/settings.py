@@ -14,7 +14,6 @@ same.
 from __future__ import annotations
 
 import difflib
-import hashlib
 import json
 import tomllib
 import warnings
@@ -67,8 +66,9 @@ def used(context: typer.Context) -> dict[str, Any]:
 
 def provenance(context: typer.Context, path: Path) -> dict[str, Any]:
     """What an answer to the file at `path` is made of; warns where the settings file was made from another."""
-    with path.open("rb") as file:
-        made = {"motionrecover": __version__, "input-sha256": hashlib.file_digest(file, "sha256").hexdigest()}
+    from motionrecover.files import sha256
+
+    made = {"motionrecover": __version__, "input-sha256": sha256(path)}
     source = context.get_parameter_source("path")
     before = context.meta.get(PROVENANCE, {}) if source is not None and source.name == "DEFAULT_MAP" else {}
     if before.get("input-sha256", made["input-sha256"]) != made["input-sha256"]:

@@ -7,9 +7,9 @@ import logging
 import math
 import sys
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import redirect_stdout
+from contextlib import contextmanager, redirect_stdout
 from typing import Any, TypeVar
 
 _T = TypeVar("_T")
@@ -77,6 +77,19 @@ def work(task: str, hidden: bool, call: Callable[..., _T]) -> _T:
             future = pool.submit(call, progress=progress)
             pool.shutdown(wait=False)
             return future.result()
+
+
+@contextmanager
+def progress(task: str, total: int, quiet: bool) -> Iterator[Callable[[int], None]]:
+    """A function to say how many of `total` are done; it draws a bar with the time left, if stderr is a terminal."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True, highlight=False, markup=False, emoji=False)
+    columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as bar:
+        line = bar.add_task(task, total=total)
+        yield lambda done: bar.update(line, completed=done)
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

@@ -19,6 +19,7 @@ __all__ = [
     "Format",
     "MotionFormatError",
     "MotionFormatWarning",
+    "format_of",
     "formats",
     "from_xarray",
     "load",
@@ -45,6 +46,8 @@ class Format:
     """Writes a file that does not matter until it is whole. None for formats that are only read."""
     fits: Callable[[Path], bool] | None = None
     """Tells by its content whether a file to read is of this format, where others share the ending."""
+    beside: Callable[[Path], list[Path]] | None = None
+    """The other files that reading looks at, for formats of several files."""
 
     @property
     def reads(self) -> bool:
@@ -59,7 +62,7 @@ class Format:
 
 _FORMATS = (
     Format("bvh", (".bvh",), "Biovision hierarchy: offsets and rotations", bvh.read, bvh_out.write),
-    Format("amc", (".amc", ".asf"), "Acclaim motion on the .asf skeleton beside it", read=asf.read),
+    Format("amc", (".amc", ".asf"), "Acclaim motion on the .asf skeleton beside it", read=asf.read, beside=asf.beside),
     Format("c3d", (".c3d",), "Optical markers, with analog data and events", c3d.read, c3d.write),
     Format("trc", (".trc",), "Optical markers as a table, as OpenSim has it", trc.read, trc.write),
     Format(
@@ -68,7 +71,13 @@ _FORMATS = (
     Format("csv", (".csv",), "Table, a row a frame; both CSV layouts are read", csv.read, csv.write_wide),
     Format("csv-long", (), "Table, a row a joint and frame; by name only", csv.read, csv.write_long),
     Format("npz", (".npz",), "NumPy arrays, exact and fast", npz.read, npz.write),
-    Format("freemocap", (".npy",), "FreeMoCap body, with its names and errors if beside it", read=freemocap.read),
+    Format(
+        "freemocap",
+        (".npy",),
+        "FreeMoCap body, with its names and errors if beside it",
+        read=freemocap.read,
+        beside=freemocap.beside,
+    ),
 )
 
 
@@ -104,7 +113,7 @@ def load(
         None if up is None else up_axis(up),
         None if fps is None else frame_rate(fps),
     )
-    chosen = _choose(path, format, reading=True)
+    chosen = format_of(path, format)
     if chosen.read is None:
         raise MotionFormatError(f"{path} is {chosen.name}, which is written but not read: {_readable()}")
     try:
@@ -146,6 +155,11 @@ def save(motion: Motion, path: str | Path, *, overwrite: bool = False, format: s
     with write_beside(path, overwrite=overwrite) as temporary:
         chosen.write(motion, temporary)
     return path
+
+
+def format_of(path: str | Path, format: str | Format | None = None) -> Format:
+    """The format that `load` reads a file as. Raises as `load` does where none is known."""
+    return _choose(Path(path), format, reading=True)
 
 
 def _choose(path: Path, format: str | Format | None, reading: bool = False) -> Format:

@@ -114,13 +114,18 @@ def read(path: Path, asked: Asked) -> Motion:
     )
 
 
+def beside(path: Path) -> list[Path]:
+    """The ASF files in the folder of an AMC file."""
+    return sorted(other for other in path.parent.iterdir() if other.suffix.lower() == ".asf")
+
+
 def _skeleton_path(path: Path, asked: Asked) -> Path:
     """The ASF file that was asked for, or the only one beside the AMC file."""
     if asked.skeleton is not None:
         if isinstance(asked.skeleton, Skeleton) or Path(asked.skeleton).suffix.lower() != ".asf":
             raise ValueError("received a skeleton that is no ASF file: an AMC file needs the .asf it was made with")
         return Path(asked.skeleton)
-    found = [other for other in path.parent.iterdir() if other.suffix.lower() == ".asf"]
+    found = beside(path)
     if len(found) != 1:
         raise MotionFormatError(
             f"{path} needs a skeleton and its folder holds {counted(len(found), '.asf file')}: "

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+_TEMPORARY = re.compile(r"\.[0-9a-f]{16}(\..*)?")
 
 
 @contextmanager
@@ -41,3 +44,13 @@ def write_beside(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]
         raise OSError(f"{path} could not be written: {error.strerror or error}") from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def remove_leftovers(folder: str | Path) -> None:
+    """Remove, from a folder and those below, the temporary files of processes that were killed while they wrote.
+
+    For a folder that no other process writes to.
+    """
+    for place, _, names in os.walk(folder):
+        for name in filter(_TEMPORARY.fullmatch, names):
+            Path(place, name).unlink(missing_ok=True)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import io
 import json
+from collections.abc import Iterable
 from math import prod
 from pathlib import Path
 from tokenize import TokenError
@@ -77,6 +78,11 @@ def read(path: Path, asked: Asked) -> Motion:
     )
 
 
+def beside(path: Path) -> list[Path]:
+    """The files with names and with errors of the tracker that wrote a file."""
+    return [*_names_beside(path), *_errors_beside(path)]
+
+
 def _array(path: Path) -> np.ndarray:
     """The array of an NPY file that holds exactly what its header says, and no objects."""
     content = read_bytes(path)
@@ -97,8 +103,7 @@ def _array(path: Path) -> np.ndarray:
 def _names(path: Path, markers: int, asked: Skeleton | str | Path | None) -> tuple[list[str], str]:
     """Names of the body's markers, which are the first of all, and where they come from."""
     tracker = _tracker(path)
-    beside = [file for folder in path.parents[:2] for file in sorted(folder.glob("*names_and_connections*.json"))]
-    listed = next((file for file in beside if _tracker(file) == tracker), None)
+    listed = next(iter(_names_beside(path)), None)
     if listed is not None:
         names, source = _body(listed), listed.name
     elif asked not in (None, INFER):
@@ -130,8 +135,7 @@ def _body(path: Path) -> list[str]:
 
 def _confidence(path: Path, shape: tuple[int, int]) -> tuple[np.ndarray | None, str]:
     """Confidence (frame, marker) from the reprojection errors beside a file, None without, and a line of history."""
-    folders = (path.parent, path.parent / "raw_data")
-    found = [file for folder in folders for file in sorted(folder.glob(ERRORS)) if _tracker(file) == _tracker(path)]
+    found = _errors_beside(path)
     if not found:
         return None, "no reprojection errors beside it"
     errors = _array(found[0])
@@ -142,6 +146,19 @@ def _confidence(path: Path, shape: tuple[int, int]) -> tuple[np.ndarray | None, 
     if not usual > 0:
         return None, f"left out {found[0].name}, which has no errors above 0"
     return usual / np.maximum(errors, usual), f"confidence is {usual:.3g} px over the reprojection error"
+
+
+def _names_beside(path: Path) -> list[Path]:
+    return _of_its_tracker(path, path.parents[:2], "*names_and_connections*.json")
+
+
+def _errors_beside(path: Path) -> list[Path]:
+    return _of_its_tracker(path, (path.parent, path.parent / "raw_data"), ERRORS)
+
+
+def _of_its_tracker(path: Path, folders: Iterable[Path], pattern: str) -> list[Path]:
+    found = [file for folder in folders for file in sorted(folder.glob(pattern))]
+    return [file for file in found if _tracker(file) == _tracker(path)]
 
 
 def _tracker(path: Path) -> str:

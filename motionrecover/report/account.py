@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from motionrecover.motion import Motion
 from motionrecover.recovery import Recovery
 from motionrecover.robust import Change
 from motionrecover.runs import runs_of
+from motionrecover.skeleton import Skeleton
 
 NOTABLE = 0.01
 """Metres. What is less far off, or was moved less, is no moment to look at."""
@@ -141,3 +143,54 @@ def bone_deviations(positions: np.ndarray, recovery: Recovery) -> np.ndarray:
 def binned(values: np.ndarray, size: int) -> np.ndarray:
     """The largest of every `size` frames of values (frame, ...), so that what is short stays visible."""
     return np.maximum.reduceat(values, np.arange(0, len(values), size), axis=0)
+
+
+def verdict(recovery: Recovery) -> dict[str, Any]:
+    """How the solver ended."""
+    return {
+        "converged": recovery.converged,
+        "message": recovery.message,
+        "steps": recovery.steps,
+        "seconds": recovery.seconds,
+    }
+
+
+def measures(
+    clips: dict[str, np.ndarray], skeleton: Skeleton, lengths: np.ndarray, truth: Motion | None = None
+) -> dict[str, Any]:
+    """Errors of each clip against the bone lengths that were used, and against the truth if there is one."""
+
+    # All clips are measured where all have a position, so that their numbers compare.
+    known = np.logical_and.reduce([np.isfinite(positions).all(-1) for positions in clips.values()])
+
+    def each(measure) -> dict[str, float]:
+        return {name: 1000 * measure(positions) for name, positions in clips.items()}
+
+    facts = {}
+    if truth is not None:
+        counts = known & truth.observed
+        facts["aje_mm"] = each(lambda positions: metrics.aje(positions, truth.positions, counts))
+        facts["abe_mm"] = each(lambda positions: metrics.abe(positions, truth.positions, skeleton, counts))
+    bones = [bone for bone, length in enumerate(lengths) if np.isfinite(length)]
+    edges = [skeleton.edges[bone] for bone in bones]
+    return facts | {
+        "bone_length_deviation_mm": each(lambda positions: metrics.abe(positions, lengths[bones], edges, known))
+    }
+
+
+def changes(recovery: Recovery) -> dict[str, Any]:
+    """What happened to how many samples, and what stays unknown."""
+    names = recovery.skeleton.names
+    unknown = recovery.changed == Change.UNKNOWN
+    filled = recovery.changed == Change.FILLED
+    doubt = recovery.uncertainty[filled & np.isfinite(recovery.uncertainty)]
+    return {
+        "samples": {kind.name.lower(): int((recovery.changed == kind).sum()) for kind in Change},
+        "filled_uncertainty_mm": 1000 * float(doubt.mean()) if len(doubt) else None,
+        "swaps": [
+            f"{names[swap.first_joint]} and {names[swap.second_joint]}, frames {swap.start} to {swap.stop - 1}"
+            for swap in recovery.swaps
+        ],
+        "never_seen": [name for joint, name in enumerate(names) if not recovery.observed[:, joint].any()],
+        "partly_unknown": [name for joint, name in enumerate(names) if unknown[:, joint].any()],
+    }

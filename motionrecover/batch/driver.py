@@ -1,0 +1,142 @@
+"""The batch: what is still to do is given to the executor, what comes back is written down.
+
+    done     the manifest has a record of the same input and parameters, and the answer is there with its size
+    to do    everything else: new, changed, failed before, or at hand when the batch died
+
+An answer is renamed into place before its record is appended. A batch that dies in between does the clip again, and
+puts the same bytes in the same place.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from motionrecover.batch.clip import FULL, DiskFull, Settings, begun, recover_clip, sources
+from motionrecover.batch.index import write_index
+from motionrecover.batch.jobs import INDEX, LOCK, MANIFEST, Job
+from motionrecover.batch.lock import Lock
+from motionrecover.batch.manifest import DONE, FAILED, Manifest, Record
+from motionrecover.batch.workers import Executor
+from motionrecover.io import MotionFormatError
+from motionrecover.io.atomic import remove_leftovers
+
+SHOWN = 20
+"""Failures that are kept to be told at the end; the manifest has all."""
+
+
+@dataclass
+class Tally:
+    """What a batch has done so far. Its size does not grow with the batch."""
+
+    done: int = 0
+    kept: int = 0
+    """Clips that were done before."""
+    failed: int = 0
+    frames: int = 0
+    samples: Counter[str] = field(default_factory=Counter)
+    """By what happened to them, as in `robust.Change`."""
+    failures: list[tuple[str, str]] = field(default_factory=list)
+    """File and reason of the first `SHOWN`."""
+
+    def add(self, record: Record) -> None:
+        """Count a clip."""
+        if record["status"] == DONE:
+            self.done += 1
+            self.frames += record["frames"]
+            self.samples.update(record["samples"])
+        else:
+            self.failed += 1
+            if len(self.failures) < SHOWN:
+                self.failures.append((record["input"], record["reason"]))
+
+
+def run(
+    jobs: Sequence[Job],
+    folder: str | Path,
+    settings: Settings,
+    executor: Executor,
+    *,
+    seen: Callable[[Tally], None] = lambda tally: None,
+    overwrite: bool = False,
+) -> Tally:
+    """Recover what is still to do of the jobs into `folder`, and write manifest and index there.
+
+    `seen` is called after each clip. `overwrite`: also into a folder with files that are no batch's.
+
+    Raises `Locked` while another batch writes there, `FileExistsError` for a folder of other files, and `OSError` in
+    one sentence when the disk is full. However it ends, the same call goes on.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    tally = Tally()
+    with Lock(folder / LOCK) as lock:
+        _refuse_others(folder, overwrite)
+        with Manifest(folder / MANIFEST) as manifest:
+            remove_leftovers(folder)
+            try:
+                parameters = settings.parameters
+                left = _left(jobs, folder, settings, parameters, manifest, tally, seen)
+                work = partial(recover_clip, settings, os.fspath(folder))
+                with closing(executor(work, left)) as outcomes:
+                    for job, found in outcomes:
+                        lock.check()
+                        if isinstance(found, DiskFull):
+                            raise found
+                        if isinstance(found, Exception):
+                            found = begun(job) | {"status": FAILED, "reason": str(found)}
+                        record = found | {"parameters": parameters | {"to": job.format}}
+                        manifest.append(record)
+                        tally.add(record)
+                        seen(tally)
+            except OSError as error:
+                if isinstance(error, DiskFull) or error.errno in FULL:
+                    raise OSError(
+                        f"the disk of {folder} is full, {tally.done + tally.kept} of {len(jobs)} clips are done: make "
+                        "room and run the same batch again"
+                    ) from error
+                raise
+            finally:
+                if lock.held:
+                    remove_leftovers(folder)
+            write_index(folder / INDEX, manifest)
+    return tally
+
+
+def _left(jobs, folder, settings, parameters, manifest, tally, seen) -> Iterator[Job]:
+    """The jobs that are to do; the others are counted."""
+    for job in jobs:
+        if _is_done(job, folder, settings, parameters, manifest.find(job.name)):
+            tally.kept += 1
+            seen(tally)
+        else:
+            yield job
+
+
+def _is_done(job: Job, folder: Path, settings: Settings, parameters: Record, record: Record | None) -> bool:
+    if record is None or record["status"] != DONE or record["parameters"] != parameters | {"to": job.format}:
+        return False
+    try:
+        if (folder / job.name).stat().st_size != record["bytes"]:
+            return False
+        found = sources(job, settings)
+    except (OSError, MotionFormatError):
+        return False
+    same = found == {name: record[name] for name in ("sha256", "beside") if name in record}
+    return same and (not settings.report or (folder / job.report).is_file())
+
+
+def _refuse_others(folder: Path, overwrite: bool) -> None:
+    """Refuse a folder that holds files and no manifest."""
+    with os.scandir(folder) as entries:
+        other = next((entry.name for entry in entries if not entry.name.startswith(LOCK)), None)
+    if other is not None and not overwrite and not (folder / MANIFEST).is_file():
+        raise FileExistsError(
+            f"{folder} holds {other} and no manifest of a batch: choose an empty folder, or replace files in it with "
+            "overwrite=True (--overwrite)",
+        )
