@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motionrecover.evidence.bone_lengths import LEAST_FRAMES, estimate_bone_lengths
-from motionrecover.motion import refuse_infinite
+from motionrecover.motion import refuse_far
 from motionrecover.runs import frames_away
 from motionrecover.skeleton import ZERO_LENGTH, Skeleton, components
 from motionrecover.solver import Problem
@@ -192,7 +192,7 @@ def _positions(data, skeleton):
         )
     if len(data) == 0:
         raise ValueError("received a clip of 0 frames: recovery needs at least one")
-    refuse_infinite(data, skeleton.names)
+    refuse_far(data, skeleton.names)
     return data.astype(np.float64)
 
 

@@ -8,13 +8,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionrecover.rig import Rig
-from motionrecover.skeleton import Skeleton
+from motionrecover.skeleton import FARTHEST, Skeleton
 from motionrecover.source import Source
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Metres in one unit."""
 
 UP_AXES = ("x", "y", "z")
+
+SLOWEST, FASTEST = 1e-6, 1e6
+"""Frames a second."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +32,8 @@ class Motion:
     came from, on which it can be written again; it may have more joints than the clip. `source` is the file that the
     clip came from, in formats that hold more than a motion and write it back.
 
-    Raises `ValueError` for misshapen or infinite positions, unusable masks and an unusable frame rate.
+    Raises `ValueError` for misshapen positions, positions farther than `FARTHEST` from the origin, unusable masks and
+    an unusable frame rate.
     """
 
     positions: np.ndarray
@@ -55,9 +59,11 @@ class Motion:
             )
         if len(positions) == 0:
             raise ValueError("received a clip of 0 frames: a motion needs at least one")
-        refuse_infinite(positions, self.skeleton.names)
-        if not (np.isfinite(self.fps) and self.fps > 0):
-            raise ValueError(f"received a frame rate of {self.fps}: give frames a second, above 0")
+        refuse_far(positions, self.skeleton.names)
+        if not SLOWEST <= self.fps <= FASTEST:
+            raise ValueError(
+                f"received a frame rate of {self.fps}: give frames a second, above 0 and up to {FASTEST:,.0f}"
+            )
         if self.up not in UP_AXES:
             raise ValueError(f"received up axis {self.up!r}: give one of {', '.join(UP_AXES)}")
         finite = np.isfinite(positions).all(-1)
@@ -70,6 +76,7 @@ class Motion:
         if self.confidence is not None and ((self.confidence < 0) | (self.confidence > 1)).any():
             raise ValueError("received a confidence outside 0 (ignore) to 1 (trust)")
         object.__setattr__(self, "positions", positions)
+        object.__setattr__(self, "fps", float(self.fps))
         object.__setattr__(self, "observed", observed & finite)
 
     @property
@@ -104,10 +111,12 @@ class Motion:
         )
 
 
-def refuse_infinite(positions: np.ndarray, names: Sequence[str]) -> None:
-    """Raise `ValueError` that names the first infinite sample of positions (frame, joint, 3), if there is one."""
-    if np.isinf(positions).any():
-        frame, joint, _ = np.argwhere(np.isinf(positions))[0]
+def refuse_far(positions: np.ndarray, names: Sequence[str]) -> None:
+    """Raise `ValueError` that names the first sample of positions (frame, joint, 3) beyond `FARTHEST`, if any is."""
+    if max(np.fmax.reduce(positions, None, initial=0), -np.fmin.reduce(positions, None, initial=0)) > FARTHEST:
+        frame, joint, axis = np.argwhere(np.abs(positions) > np.float64(FARTHEST))[0]
+        value = positions[frame, joint, axis]
+        what = "an infinite position" if np.isinf(value) else f"a position {abs(value):.3g} m from the origin"
         raise ValueError(
-            f"received an infinite position at frame {frame}, joint {names[joint]!r}: mark missing samples as NaN"
+            f"received {what} at frame {frame}, joint {names[joint]!r}: mark missing samples as NaN, state the unit"
         )

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 import tomllib
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import UnionType
 
 import numpy as np
 
@@ -14,6 +16,9 @@ from motionrecover.standards import STANDARDS, table
 
 ZERO_LENGTH = 1e-6
 """Bones shorter than this (metres) have no direction: their two joints are one joint to the solver."""
+
+FARTHEST = 1e9
+"""Metres, beyond the Moon. Coordinates above come of damaged files or wrong units, and overflow when multiplied."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +46,7 @@ class Skeleton:
         if not names:
             raise ValueError("received a skeleton without joints: name at least one")
         if len(set(names)) != len(names):
-            twice = next(name for name in names if names.count(name) > 1)
+            twice = next(name for name, count in Counter(names).items() if count > 1)
             raise ValueError(f"received joint name {twice!r} more than once: names must be distinct")
         index = {name: i for i, name in enumerate(names)}
         pairs = []
@@ -57,17 +62,17 @@ class Skeleton:
             if pair[0] == pair[1]:
                 raise ValueError(f"received a bone from joint {names[pair[0]]!r} to itself: remove it")
             pairs.append((pair[0], pair[1]))
-        if len({frozenset(pair) for pair in pairs}) != len(pairs):
+        if len({len(names) * min(pair) + max(pair) for pair in pairs}) != len(pairs):
             raise ValueError("received the same bone more than once: list each bone once")
         object.__setattr__(self, "names", names)
         object.__setattr__(self, "edges", tuple(pairs))
         object.__setattr__(self, "rest_offsets", None)
         if rest_offsets is not None:
             offsets = np.asarray(rest_offsets, float)
-            if offsets.shape != (len(names), 3) or not np.isfinite(offsets).all():
+            if offsets.shape != (len(names), 3) or not (np.abs(offsets) <= FARTHEST).all():
                 raise ValueError(
                     f"received rest offsets of shape {offsets.shape} for {len(names)} joints: "
-                    f"give finite offsets of shape ({len(names)}, 3)"
+                    f"give finite offsets in metres of shape ({len(names)}, 3)"
                 )
             self.parents  # noqa: B018  only a forest has offsets from parents: this raises for any other graph
             object.__setattr__(self, "rest_offsets", tuple(map(tuple, offsets.tolist())))
@@ -93,20 +98,30 @@ class Skeleton:
         path = Path(path)
         try:
             table = tomllib.loads(path.read_text(encoding="utf-8"))
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
             raise ValueError(f"{path} is not a TOML file: {error}") from error
         if "names" not in table or ("parents" in table) == ("edges" in table):
             raise ValueError(
                 f"{path} holds {sorted(table)}: a skeleton file has `names` and either `parents` or `edges`"
             )
         names = table["names"]
-        if "edges" in table:
-            return cls(names, table["edges"])
-        index = {name: joint for joint, name in enumerate(names)} | {"": -1}
-        unknown = [p for p in table["parents"] if isinstance(p, str) and p not in index]
-        if unknown:
-            raise ValueError(f"{path} names the parent {unknown[0]!r}, which is none of its joints")
-        return cls.from_parents(names, [index[p] if isinstance(p, str) else int(p) for p in table["parents"]])
+        if not _all_of(names, str):
+            raise ValueError(f"{path} has `names` that are no list of texts: name each joint")
+        try:
+            if "edges" in table:
+                if not isinstance(table["edges"], list) or not all(_all_of(bone, str | int) for bone in table["edges"]):
+                    raise ValueError("received `edges` that are no list of bones: give a pair of joints for each")
+                return cls(names, table["edges"])
+            parents = table["parents"]
+            if not _all_of(parents, str | int):
+                raise ValueError("received `parents` that are no list of joints: give one for each joint")
+            index = {name: joint for joint, name in enumerate(names)} | {"": -1}
+            unknown = [p for p in parents if isinstance(p, str) and p not in index]
+            if unknown:
+                raise ValueError(f"received the parent {unknown[0]!r}, which is none of its joints")
+            return cls.from_parents(names, [index[p] if isinstance(p, str) else p for p in parents])
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
 
     @classmethod
     def standard(cls, name: str) -> Skeleton:
@@ -129,13 +144,16 @@ class Skeleton:
                     f"{self.names[parent]!r}: the skeleton is a general graph, not a tree of (parent, child) bones"
                 )
             parents[child] = parent
+        rooted = {-1}
         for joint in range(len(parents)):
-            seen, at = {joint}, parents[joint]
-            while at != -1:
-                if at in seen:
+            above, at = [], joint
+            while at not in rooted:
+                above.append(at)
+                # Reached twice before a root: no chain without a cycle is as long as there are joints.
+                if len(above) > len(parents):
                     raise ValueError(f"the bones above joint {self.names[joint]!r} form a cycle: a tree has none")
-                seen.add(at)
                 at = parents[at]
+            rooted.update(above)
         return tuple(parents)
 
     @property
@@ -229,6 +247,11 @@ def components(edges: Sequence[tuple[int, int]], joints: int) -> list[list[int]]
 def is_forest(edges: Sequence[tuple[int, int]], joints: int) -> bool:
     """Whether the edges close no cycle, so that leaf-to-root elimination applies."""
     return len(edges) == joints - len(components(edges, joints))
+
+
+def _all_of(values: object, kind: type | UnionType) -> bool:
+    """Whether `values` is a list of such values only."""
+    return isinstance(values, list) and all(isinstance(value, kind) for value in values)
 
 
 def _right(side: str) -> str:

@@ -55,7 +55,8 @@ def same(one: Motion, other: Motion):
 def motions(draw):
     frames, joints = draw(array_shapes(min_dims=2, max_dims=2, max_side=4))
     width = draw(st.sampled_from([32, 64]))
-    numbers = st.floats(allow_nan=True, allow_infinity=False, width=width)
+    far = 999_999_936.0  # the last float32 below FARTHEST
+    numbers = st.floats(-far, far, width=width) | st.just(np.nan)
     positions = draw(arrays(f"f{width // 8}", (frames, joints, 3), elements=numbers))
     text = st.text(st.characters(codec="utf-8", exclude_categories=["C", "Z"]), min_size=1, max_size=6)
     names = draw(st.lists(text, min_size=joints, max_size=joints, unique=True))
@@ -208,7 +209,7 @@ def test_up_axis_is_assumed_aloud(tmp_path):
         ("# parents", "# dtype: int\n# parents", ["line 4", "'int'"]),
         ("# parents", "# history: 3\n# parents", ["line 4", "JSON list"]),
         ("hip_y", "hip_w", ["line 5", "'hip_w'"]),
-        ("hip_y,", "", ["line 6", "7 cells", "6 columns"]),
+        ("hip_y,", "", ["line 5", "'hip'", "without y"]),
         ("hip_y", "hip_x", ["line 5", "'hip_x'", "twice"]),
         ("knee_z", "time", ["line 5", "knee_z"]),
         (WIDE[WIDE.index("0,100") :], "", ["no rows"]),
@@ -218,7 +219,7 @@ def test_up_axis_is_assumed_aloud(tmp_path):
         ("300", "inf", ["line 6", "'inf'", "'hip_z'"]),
         ("300", '"300', ["quotation marks"]),
         ("\n1,", "\n2,", ["line 7", "frame 2 after 0"]),
-        ("\n1,", "\n1.5,", ["line 7", "frame '1.5'"]),
+        ("\n1,", "\n1.5,", ["line 7", "frame 1.5"]),
     ],
 )
 def test_each_defect_of_a_wide_table_is_told_in_one_sentence(tmp_path, refused, old, new, words):
@@ -234,7 +235,7 @@ def test_each_defect_of_a_wide_table_is_told_in_one_sentence(tmp_path, refused, 
         ("frame,", "time,", ["line 5", "no column frame"]),
         ("3,knee", "3,hip", ["line 7", "frame 3 of joint 'hip' again"]),
         ("5,hip", "5000000,hip", ["frames 3 to 5000000", "3 rows"]),
-        ("5,hip", ",hip", ["line 8", "frame ''"]),
+        ("5,hip", ",hip", ["line 8", "no frame"]),
         ("0.25", "sure", ["line 7", "'sure'", "'confidence'"]),
     ],
 )
@@ -247,7 +248,7 @@ def test_each_defect_of_a_long_table_is_told_in_one_sentence(tmp_path, refused, 
 @pytest.mark.parametrize("name", ["", " hip", "hip\n"])
 def test_names_that_a_table_cannot_hold_are_refused(tmp_path, refused, name):
     motion = Motion(np.zeros((1, 1, 3)), Skeleton([name]), 30)
-    refused(lambda: save(motion, tmp_path / "clip.csv"), repr(name), error=ValueError)
+    refused(lambda: save(motion, tmp_path / "clip.csv"), repr(name))
     assert not list(tmp_path.iterdir())
 
 

@@ -83,6 +83,7 @@ def test_arguments_go_before_the_file_and_the_file_before_the_layout(tmp_path):
         ("", {"names": np.array(["hip", "hip"])}, ["'hip'", "more than once"]),
         ("", {"parents": np.array([-1, 0, 1])}, ["parents of shape (3,)"]),
         ("", {"parents": np.array([-1, 7])}, ["7"]),
+        ("", {"parents": np.array([-1, np.inf])}, ["parents", "whole numbers"]),
         ("parents", {"edges": np.array([0, 1])}, ["edges of shape (2,)"]),
         ("", {"rest_offsets": np.zeros((2, 2))}, ["rest_offsets of shape (2, 2)"]),
         ("", {"observed": np.ones((2, 3))}, ["observed of shape (2, 3)"]),

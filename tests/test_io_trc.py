@@ -1,6 +1,5 @@
 """TRC: the layout of OpenSim with its variants, what is written, and one sentence for each defect."""
 
-from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from motionrecover.io import MotionFormatError, MotionFormatWarning, load, save
+from motionrecover.io import MotionFormatWarning, load, save
 from motionrecover.motion import Motion
 from motionrecover.skeleton import Skeleton
 
@@ -109,7 +108,7 @@ def test_a_clip_from_elsewhere_is_written_in_millimetres_from_frame_1(tmp_path, 
     ]
     np.testing.assert_allclose(load(path, up="y").positions, positions)
     named = Motion(positions, Skeleton(["hip", "left\tknee"]), 40)
-    refused(lambda: save(named, tmp_path / "named.trc"), r"'left\tknee'", "tabs")
+    refused(lambda: save(named, tmp_path / "named.trc"), r"'left\tknee'", "printable")
 
 
 def test_a_clip_from_trc_keeps_unit_axes_frames_times_and_header(tmp_path, refused):
@@ -165,22 +164,6 @@ def test_each_defect_is_told_in_one_sentence(tmp_path, refused, old, new, words)
     assert old in TEXT
     path = write(tmp_path, TEXT.replace(old, new, 1))
     refused(lambda: load(path, up="y"), str(path), *words)
-
-
-@pytest.mark.filterwarnings("ignore::motionrecover.io.MotionFormatWarning")
-def test_a_damaged_file_loads_or_is_refused(tmp_path):
-    rng = np.random.default_rng(0)
-    loaded = 0
-    for _ in range(400):
-        content = list(TEXT)
-        for _ in range(rng.integers(1, 4)):
-            at = int(rng.integers(len(content)))
-            content[at : at + int(rng.integers(0, 3))] = rng.choice([*"0123456789.,-\t\n eExX;#", "", "inf", "1e308"])
-        with suppress(MotionFormatError):
-            motion = load(write(tmp_path, "".join(content)))
-            loaded += 1
-            save(motion, tmp_path / "back.trc", overwrite=True)
-    assert 40 < loaded < 360
 
 
 def test_the_real_file_shows_the_box_of_the_c3d_beside_it(shared_data):

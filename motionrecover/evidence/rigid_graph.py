@@ -36,6 +36,8 @@ RESOLUTION = 1e-5
 """Of U: spreads below are rounding errors, and such pairs count by their distance."""
 MOST_FRAMES = 2000
 """More are thinned evenly."""
+AT_ONCE = 2**14
+"""Distances."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +70,10 @@ def infer_graph(positions: np.ndarray, observed: np.ndarray | None = None) -> Ri
             )
         seen &= np.asarray(observed, bool)
     first, second = np.triu_indices(markers, 1)
-    count = seen.astype(int)
-    together = (count.T @ count)[first, second]
-    length, spread = spreads(np.where(seen[..., None], positions, np.nan), first, second)
+    count = seen.astype(np.float32)  # exact up to 16 million frames
+    together = (count.T @ count)[first, second].astype(int)
+    measured = positions if observed is None else np.where(seen[..., None], positions, np.nan)
+    length, spread = spreads(measured, first, second)
     usable = (together >= max(LEAST_FRAMES, TOGETHER * frames)) & (length > 0)
     unit = _unit(length, usable, first, second, markers)
     steady = np.flatnonzero(usable & (spread <= LOOSE * np.minimum(length, unit)))
@@ -83,13 +86,15 @@ def infer_graph(positions: np.ndarray, observed: np.ndarray | None = None) -> Ri
 def spreads(positions: np.ndarray, first: np.ndarray, second: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Median and s (pair,) of the distances between the markers `first` and `second` of positions (frame, marker, 3).
 
-    NaN and infinite for a pair that is never seen together. A marker at a time, for the sake of memory.
+    NaN and infinite for a pair that is never seen together. Some pairs at a time, for the sake of memory.
     """
     thin = positions[:: -(-len(positions) // MOST_FRAMES) or 1]
     length, spread = np.full(len(first), np.nan), np.full(len(first), np.inf)
-    for marker in range(positions.shape[1]):
-        pairs = np.flatnonzero(first == marker)
-        d = np.sort(np.linalg.norm(thin[:, second[pairs]] - thin[:, [marker]], axis=-1), 0)
+    some = max(1, AT_ONCE // max(1, len(thin)))
+    for pairs in np.array_split(np.arange(len(first)), range(some, len(first), some)):
+        with np.errstate(over="ignore", invalid="ignore"):
+            d = np.linalg.norm(thin[:, second[pairs]] - thin[:, first[pairs]], axis=-1)
+        d = np.sort(np.where(np.isfinite(d), d, np.nan), 0)
         count = np.isfinite(d).sum(0)
         pairs, d, count = pairs[count > 0], d[:, count > 0], count[count > 0]
         last = np.ceil(SHARE * count).astype(int) - 1 + np.arange(len(d))[:, None]

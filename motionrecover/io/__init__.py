@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from motionrecover.io import asf, bvh, bvh_out, c3d, csv, freemocap, kinect, npz, trc
+from motionrecover.io import asf, bvh, bvh_out, c3d, csv, csv_out, freemocap, kinect, npz, trc
 from motionrecover.io.atomic import write_beside
 from motionrecover.io.border import Asked, frame_rate, metres_in, up_axis
 from motionrecover.io.errors import MotionFormatError, MotionFormatWarning
@@ -68,8 +68,8 @@ _FORMATS = (
     Format(
         "kinect", (".csv",), "Kinect v2 recording, told from other CSV by its content", kinect.read, fits=kinect.fits
     ),
-    Format("csv", (".csv",), "Table, a row a frame; both CSV layouts are read", csv.read, csv.write_wide),
-    Format("csv-long", (), "Table, a row a joint and frame; by name only", csv.read, csv.write_long),
+    Format("csv", (".csv",), "Table, a row a frame; both CSV layouts are read", csv.read, csv_out.write_wide),
+    Format("csv-long", (), "Table, a row a joint and frame; by name only", csv.read, csv_out.write_long),
     Format("npz", (".npz",), "NumPy arrays, exact and fast", npz.read, npz.write),
     Format(
         "freemocap",
@@ -153,7 +153,12 @@ def save(motion: Motion, path: str | Path, *, overwrite: bool = False, format: s
         writable = ", ".join(known.name for known in _FORMATS if known.writes)
         raise MotionFormatError(f"{path} would be {chosen.name}, which is read but not written: write {writable}")
     with write_beside(path, overwrite=overwrite) as temporary:
-        chosen.write(motion, temporary)
+        try:
+            chosen.write(motion, temporary)
+        except MotionFormatError:
+            raise
+        except ValueError as error:
+            raise MotionFormatError(f"{path}: {error}") from error
     return path
 
 

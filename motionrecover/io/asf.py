@@ -11,15 +11,25 @@ Source: J. Lander, "Working with motion capture file formats", Game Developer, J
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from motionrecover.io.border import Asked, assume, counted, finite, motion_from, read_lines, shown
+from motionrecover.io.border import (
+    Asked,
+    Lines,
+    assume,
+    counted,
+    finite,
+    motion_from,
+    read_lines,
+    refuse_swollen,
+    shown,
+)
 from motionrecover.io.errors import MotionFormatError
-from motionrecover.io.kinematics import euler_rotations, forward
+from motionrecover.io.kinematics import blocks, euler_rotations, forward
 from motionrecover.motion import UNITS, Motion
 from motionrecover.skeleton import Skeleton
 
@@ -69,7 +79,34 @@ def read(path: Path, asked: Asked) -> Motion:
     unit = asked.unit or UNITS["in"] / (asf.length or 1.0)
 
     count = len(asf.bones)
-    angles, orders = np.zeros((len(values), count, 3)), []
+    refuse_swollen(path, len(lines.content), len(values), count)
+    positions = np.empty((len(values), count, 3))
+    for block in blocks(*positions.shape[:2]):
+        positions[block] = _posed(asf, values[block], degrees)
+
+    history = [f"read {path.name} (AMC) on {asf_path.name}: {counted(len(values), 'frame')}, {counted(count, 'joint')}"]
+    if asked.up is None:
+        history.append(f"{path.name} states no up axis: assumed y, override with up= (--up)")
+    if asked.fps is None:
+        history.append(
+            assume(
+                f"{path.name} states no frame rate: assumed {CMU_FPS:g} frames a second, that of the CMU database, "
+                "override with fps= (--fps)"
+            )
+        )
+    return motion_from(
+        positions,
+        Skeleton.from_parents([bone.name for bone in asf.bones], asf.parents, _offsets(asf)),
+        fps=asked.fps or CMU_FPS,
+        unit=unit,
+        up=asked.up or "y",
+        history=tuple(history),
+    )
+
+
+def _posed(asf: _Asf, values: np.ndarray, degrees: bool) -> np.ndarray:
+    """Bone ends (frame, joint, 3) of values (frame, degree of freedom)."""
+    angles, orders = np.zeros((len(values), len(asf.bones), 3)), []
     root = np.zeros((len(values), 3))
     column = 0
     for b, bone in enumerate(asf.bones):
@@ -90,28 +127,14 @@ def read(path: Path, asked: Asked) -> Motion:
         np.radians([bone.axis[::-1] for bone in asf.bones]), [bone.axis_order[::-1] for bone in asf.bones]
     )
     local = axes @ motion @ np.swapaxes(axes, -1, -2)
-    offsets = np.array([bone.offset for bone in asf.bones], float)
-    translations = np.einsum("fbij,bj->fbi", local, offsets)
+    translations = np.einsum("fbij,bj->fbi", local, _offsets(asf))
     translations[:, 0] = root
+    return forward(asf.parents, translations, local)[0]
 
-    history = [f"read {path.name} (AMC) on {asf_path.name}: {counted(len(values), 'frame')}, {counted(count, 'joint')}"]
-    if asked.up is None:
-        history.append(f"{path.name} states no up axis: assumed y, override with up= (--up)")
-    if asked.fps is None:
-        history.append(
-            assume(
-                f"{path.name} states no frame rate: assumed {CMU_FPS:g} frames a second, that of the CMU database, "
-                "override with fps= (--fps)"
-            )
-        )
-    return motion_from(
-        forward(asf.parents, translations, local)[0],
-        Skeleton.from_parents([bone.name for bone in asf.bones], asf.parents, offsets),
-        fps=asked.fps or CMU_FPS,
-        unit=unit,
-        up=asked.up or "y",
-        history=tuple(history),
-    )
+
+def _offsets(asf: _Asf) -> np.ndarray:
+    """From the start of each bone to its end (joint, 3) in the rest pose, in the file's unit."""
+    return np.array([bone.offset for bone in asf.bones], float)
 
 
 def beside(path: Path) -> list[Path]:
@@ -136,25 +159,29 @@ def _skeleton_path(path: Path, asked: Asked) -> Path:
 
 def _read_asf(path: Path) -> _Asf:
     """Bones, parents and units of an ASF file."""
-    sections: dict[str, list[tuple[int, list[str]]]] = defaultdict(list)
+    sections: dict[str, list[tuple[int, str]]] = defaultdict(list)
+
+    def content(section: str) -> Iterator[tuple[int, list[str]]]:
+        return ((number, line.split()) for number, line in sections[section])
+
     section, lines = "", read_lines(path)
     for number, line in enumerate(lines, 1):
         words = line.partition("#")[0].split()
         if words and words[0].startswith(":"):
             section = words[0].lower()
         elif words:
-            sections[section].append((number, words))
+            sections[section].append((number, " ".join(words)))
     for needed in (":root", ":bonedata", ":hierarchy"):
         if not sections[needed]:
             raise MotionFormatError(f"{path} has no {needed} section within its {len(lines)} lines, get the whole file")
 
-    units = {words[0].lower(): (number, words[1:]) for number, words in sections[":units"]}
+    units = {words[0].lower(): (number, words[1:]) for number, words in content(":units")}
     length = _numbers(path, *units["length"], 1)[0] if "length" in units else None
     if length is not None and length <= 0:
         raise MotionFormatError(f"{path}, line {units['length'][0]}: received length {length:g}, write one above 0")
     degrees = "angle" not in units or not " ".join(units["angle"][1]).lower().startswith("rad")
 
-    fields = {words[0].lower(): (number, words[1:]) for number, words in sections[":root"]}
+    fields = {words[0].lower(): (number, words[1:]) for number, words in content(":root")}
     for name in ("position", "orientation"):
         if name in fields and any(_numbers(path, *fields[name], 3)):
             raise MotionFormatError(
@@ -162,7 +189,7 @@ def _read_asf(path: Path) -> _Asf:
             )
     bones = {"root": _Bone("root", (0, 0, 0), (0, 0, 0), "XYZ", _dof(path, fields, "order", "root"))}
     fields, begun = {}, 0
-    for number, words in sections[":bonedata"]:
+    for number, words in content(":bonedata"):
         key = words[0].lower()
         if key == "begin":
             fields, begun = {}, number
@@ -178,7 +205,7 @@ def _read_asf(path: Path) -> _Asf:
 
     parent_of: dict[str, str] = {}
     children: dict[str, list[str]] = defaultdict(list)
-    for number, (parent, *names) in sections[":hierarchy"]:
+    for number, (parent, *names) in content(":hierarchy"):
         if parent.lower() in ("begin", "end") and not names:
             continue
         for name in (parent, *names):
@@ -196,7 +223,8 @@ def _read_asf(path: Path) -> _Asf:
     loose = sorted(set(bones) - set(order))
     if loose:
         raise MotionFormatError(f"{path} holds bones that no :hierarchy line ties to the root: {', '.join(loose)}")
-    parents = [-1, *(order.index(parent_of[name]) for name in order[1:])]
+    index = {name: joint for joint, name in enumerate(order)}
+    parents = [-1, *(index[parent_of[name]] for name in order[1:])]
     return _Asf([bones[name] for name in order], parents, length, degrees)
 
 
@@ -241,7 +269,7 @@ def _numbers(path: Path, number: int, words: list[str], count: int) -> list[floa
     return values
 
 
-def _read_amc(path: Path, lines: list[str], asf: _Asf) -> tuple[np.ndarray, bool]:
+def _read_amc(path: Path, lines: Lines, asf: _Asf) -> tuple[np.ndarray, bool]:
     """Values (frame, degree of freedom) in the order of the bones, and whether angles are in degrees."""
     slots, width = {}, 0
     for bone in asf.bones:
@@ -249,7 +277,7 @@ def _read_amc(path: Path, lines: list[str], asf: _Asf) -> tuple[np.ndarray, bool
             slots[bone.name] = slice(width, width + len(bone.dof))
             width += len(bone.dof)
     degrees = asf.degrees
-    frames: list[list[float]] = []
+    frames: list[np.ndarray] = []
     begins: list[int] = []
     last = 0
     for number, line in enumerate(lines, 1):
@@ -262,7 +290,7 @@ def _read_amc(path: Path, lines: list[str], asf: _Asf) -> tuple[np.ndarray, bool
                     f"{path}, line {number}: received frame {name} after frame {last}, number the frames one by one"
                 )
             last = int(name)
-            frames.append([np.nan] * width)
+            frames.append(np.full(width, np.nan))
             begins.append(number)
         elif not name.startswith("#"):
             if not frames:

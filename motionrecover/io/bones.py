@@ -15,6 +15,9 @@ from motionrecover.skeleton import STANDARDS, Skeleton
 
 INFER = "infer"
 """Asked for as a skeleton, it means the bones that the distances of the clip show."""
+MOST_MARKERS, FEW_PAIRS = 500, 10_000
+"""Bones are inferred unasked between so many markers at most, which takes a minute, and where there are four samples
+to a pair of markers or few pairs."""
 
 
 def skeleton_for(
@@ -43,14 +46,17 @@ def skeleton_for(
         part = "whose joints these are" if size == len(names) else f"of whose {size} joints these are {len(names)}"
         note = f"took the bones of {standard}, {part}"
     else:
-        skeleton = _inferred(names, positions)
+        pairs = len(names) * (len(names) - 1) // 2
+        few = pairs <= max(FEW_PAIRS, len(positions) * len(names) // 4) and len(names) <= MOST_MARKERS
+        skeleton = _inferred(names, positions) if few else Skeleton(names)
         inferred = (
             f"inferred {counted(len(skeleton.edges), 'bone')} in {counted(len(skeleton.components), 'part')} from "
             "distances that stay the same, which `motionrecover skeleton` lists"
         )
+        why = "no distance stays the same" if few else "too many to compare all distances"
         note = assume(
             f"{Path(path).name} names {counted(len(names), 'joint')} without bones: "
-            f"{inferred if skeleton.edges else 'no distance stays the same, they are taken one by one'}; "
+            f"{inferred if skeleton.edges else f'{why}, they are taken one by one'}; "
             "override with skeleton= (--skeleton)",
             deeper=1,
         )
@@ -71,7 +77,7 @@ def recognised(names: Sequence[str]) -> tuple[str, Skeleton] | None:
     """
     sizes = {standard: len(Skeleton.standard(standard).names) for standard in STANDARDS}
     for standard in sorted(STANDARDS, key=sizes.__getitem__):
-        skeleton = fitted(standard, names) if 2 * len(names) >= sizes[standard] else None
+        skeleton = fitted(standard, names) if len(names) <= sizes[standard] <= 2 * len(names) else None
         if skeleton is not None and len(skeleton.components) == 1:
             return standard, skeleton
     return None

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import math
 import re
 import warnings
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,9 +14,17 @@ from typing import Any
 import numpy as np
 
 from motionrecover.io.errors import MotionFormatError, MotionFormatWarning
-from motionrecover.motion import UNITS, UP_AXES, Motion
+from motionrecover.motion import FASTEST, SLOWEST, UNITS, UP_AXES, Motion
 from motionrecover.skeleton import Skeleton
 from motionrecover.source import Source
+
+SMALLEST, LARGEST = 1e-9, 1e9
+"""Metres in one unit."""
+MOST = 1e30
+"""A number in a text; larger ones overflow on the way to positions."""
+SWOLLEN, SMALL, JOINT = 6, 100_000, 200
+"""Positions may take so many times the bytes of their file, or of a small one, and each joint so many more bytes: with
+what leads to them, loading takes up to 20 times the file."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +49,7 @@ def metres_in(unit: str | float) -> float:
         metres = float(unit)
     except (TypeError, ValueError):
         metres = math.nan
-    if not (math.isfinite(metres) and metres > 0):
+    if not SMALLEST <= metres <= LARGEST:
         raise ValueError(f"received unit {unit!r}: give {', '.join(UNITS)} or the metres in one unit, above 0")
     return metres
 
@@ -61,24 +71,29 @@ def up_axis(up: str) -> str:
 def frame_rate(fps: str | float) -> float:
     """`fps` as a positive number. Raises `ValueError` for anything else."""
     rate = finite(fps)
-    if rate is None or rate <= 0:
-        raise ValueError(f"received a frame rate of {fps!r}: give frames a second, above 0")
+    if rate is None or not SLOWEST <= rate <= FASTEST:
+        raise ValueError(f"received a frame rate of {fps!r}: give frames a second, above 0 and up to {FASTEST:,.0f}")
     return rate
 
 
 def finite(text: str | float) -> float | None:
-    """The number that `text` writes, None where it writes none or an infinite one."""
+    """The number that `text` writes, None where it writes none, an infinite one or one beyond `MOST`."""
     try:
         number = float(text)
     except (TypeError, ValueError):
         return None
     # float() reads the underscores of Python source; no motion file has them.
-    return number if math.isfinite(number) and "_" not in str(text) else None
+    return number if abs(number) <= MOST and "_" not in str(text) else None
 
 
 def shown(text: str) -> str:
     """`text` quoted and short enough for a message."""
     return repr(text if len(text) <= 40 else text[:37] + "...")
+
+
+def plain(name: str) -> bool:
+    """Whether a line of text can hold `name` among others: it is printable, without spaces around it."""
+    return bool(name) and name == name.strip() and name.isprintable()
 
 
 def counted(number: int, noun: str) -> str:
@@ -107,18 +122,48 @@ def read_bytes(path: Path) -> bytes:
     return content
 
 
-def read_lines(path: Path) -> list[str]:
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Lines of a text file, decoded one by one: a string each takes 20 times the memory of short lines."""
+
+    content: bytes
+    """UTF-8, with line feeds only."""
+
+    def __iter__(self) -> Iterator[str]:
+        for line in io.BytesIO(self.content):
+            yield line.removesuffix(b"\n").decode()
+        if self.content.endswith(b"\n"):
+            yield ""
+
+    def __len__(self) -> int:
+        return self.content.count(b"\n") + 1
+
+
+def read_lines(path: Path) -> Lines:
     """Lines of a UTF-8 text file. Raises `MotionFormatError` when it is unreadable, empty or not text."""
-    content = read_bytes(path)
+    content = read_bytes(path).removeprefix(b"\xef\xbb\xbf")
+    wrong = content.find(b"\0")
     try:
-        text = content.decode("utf-8-sig")
+        content.decode()
     except UnicodeDecodeError as error:
-        text, line = "\0", content.count(b"\n", 0, error.start) + 1
-    else:
-        line = text.partition("\0")[0].count("\n") + 1
-    if "\0" in text:
+        wrong = error.start
+    if wrong >= 0:
+        line = content.count(b"\n", 0, wrong) + 1
         raise MotionFormatError(f"{path}, line {line}: received bytes that are not UTF-8 text, export it as text")
-    return text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return Lines(content.replace(b"\r\n", b"\n").replace(b"\r", b"\n"))
+
+
+def refuse_swollen(path: Path, size: int, frames: int, joints: int) -> None:
+    """Raise `MotionFormatError` where a file of `size` bytes holds next to nothing of so many samples.
+
+    A sample takes 24 bytes of memory, and seldom less than 6 of a file.
+    """
+    needed = joints * (24 * frames + JOINT)
+    if needed > SWOLLEN * max(size, SMALL):
+        raise MotionFormatError(
+            f"{path} has {counted(joints, 'joint')} in {counted(frames, 'frame')}, which take {needed / size:.0f} "
+            "times its size in memory: leave out what was hardly measured, or cut it where the recording stopped"
+        )
 
 
 # Right-handed rotations that take the file's up axis to y: x' = ..., y' = up, z' = ... as (axes, signs).
@@ -131,7 +176,12 @@ def to_metres(vectors: np.ndarray, unit: float, up: str) -> np.ndarray:
     The turn keeps handedness: z up goes (x, y, z) -> (x, z, -y), x up goes (x, y, z) -> (-y, x, z).
     """
     axes, signs = _TO_Y_UP[up]
-    return vectors[..., axes] * np.asarray(signs, vectors.dtype) * unit
+    out = vectors[..., axes]
+    out = out if out.dtype.kind == "f" else out.astype(np.float64)
+    # What gets infinite by it is refused by `Motion`; a signalling NaN is one, too.
+    with np.errstate(over="ignore", invalid="ignore"):
+        out *= np.asarray(signs, out.dtype) * out.dtype.type(unit)
+    return out
 
 
 def from_metres(vectors: np.ndarray, unit: float, up: str) -> np.ndarray:
@@ -150,10 +200,17 @@ def motion_from(
     unit: float,
     up: str,
     history: tuple[str, ...],
+    order: Sequence[int] | None = None,
     observed: np.ndarray | None = None,
     confidence: np.ndarray | None = None,
 ) -> Motion:
-    """`Motion` of positions (frame, joint, 3) and a skeleton that are both still in the file's unit and axes."""
+    """`Motion` of positions (frame, joint, 3) and a skeleton that are both still in the file's unit and axes.
+
+    `order` holds the column of each joint in positions, observed and confidence, where these are in the file's order.
+    """
+    if order is not None and list(order) != list(range(positions.shape[1])):
+        positions = positions[:, order]
+        observed, confidence = (None if each is None else each[:, order] for each in (observed, confidence))
     if skeleton.rest_offsets is not None:
         offsets = to_metres(np.asarray(skeleton.rest_offsets), unit, up)
         skeleton = Skeleton(skeleton.names, skeleton.edges, offsets)

@@ -14,19 +14,32 @@ Source: M. Meredith, S. Maddock, "Motion capture file formats explained", 2001.
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
 
-from motionrecover.io.border import Asked, assume, counted, finite, motion_from, read_lines, shown
+from motionrecover.io.border import (
+    MOST,
+    Asked,
+    Lines,
+    assume,
+    counted,
+    finite,
+    motion_from,
+    read_lines,
+    refuse_swollen,
+    shown,
+)
 from motionrecover.io.errors import MotionFormatError
-from motionrecover.io.kinematics import euler_rotations, forward
-from motionrecover.motion import UNITS, Motion
+from motionrecover.io.kinematics import blocks, euler_rotations, forward
+from motionrecover.motion import FASTEST, SLOWEST, UNITS, Motion
 from motionrecover.rig import Rig
 from motionrecover.skeleton import Skeleton
 
@@ -70,7 +83,8 @@ def read(path: Path, asked: Asked) -> Motion:
         raise ValueError("received a skeleton for a BVH file, which brings its own: leave skeleton= (--skeleton) out")
     lines = read_lines(path)
     joints, start = _hierarchy(path, lines)
-    values, fps, frame_time, timing = _motion(path, lines, start, sum(len(joint.channels) for joint in joints), asked)
+    values, fps, frame_time, timing = _motion(path, lines, start, joints, asked)
+    del lines
 
     parents = [joint.parent for joint in joints]
     offsets = np.array([joint.offset for joint in joints])
@@ -85,8 +99,10 @@ def read(path: Path, asked: Asked) -> Motion:
         unit=1.0,
         up="y",
     )
-    translations, angles = rig.split()
-    positions = forward(parents, translations, euler_rotations(angles, rig.orders))[0]
+    positions = np.empty((len(values), len(joints), 3))
+    for block in blocks(*positions.shape[:2]):
+        translations, angles = rig.frames(block).split()
+        positions[block] = forward(parents, translations, euler_rotations(angles, rig.orders))[0]
 
     offsets[[parent == -1 for parent in parents]] = 0.0
     rest = forward(parents, offsets[None], np.broadcast_to(np.eye(3), (1, len(joints), 3, 3)))[0]
@@ -104,7 +120,7 @@ def read(path: Path, asked: Asked) -> Motion:
                 f"rest pose {unit * _extents(rest).max():.2f} m, override with unit= (--unit)"
             )
         )
-    carried = _carried(rig, translations * unit)
+    carried = _carried(rig, unit)
     if carried:
         offsets[carried] = 0.0
         history.append(f"no bone leads to {', '.join(rig.names[joint] for joint in carried)}, which the root carries")
@@ -113,26 +129,31 @@ def read(path: Path, asked: Asked) -> Motion:
     return replace(motion, rig=replace(rig, unit=unit, up=up))
 
 
-def _carried(rig: Rig, translations: np.ndarray) -> list[int]:
+def _carried(rig: Rig, unit: float) -> list[int]:
     """Joints without a bone to their parent: the only child of a root, or of such children, that moves in it.
 
     Characters of game engines have a root on the floor that carries the hips by their position channels. Taken for a
     bone it puts the joints of a walk 35 mm off in the mean, and the rotations by as much as a metre.
     """
-    first, last = np.percentile(translations, [5, 95], axis=0)
-    chain, found = set(), []
-    for joint, parent in enumerate(rig.parents):
-        if parent == -1 or (parent in chain and rig.parents.count(parent) == 1):
+    children, chain, found = Counter(rig.parents), set(), []
+    column = 0
+    for joint, (parent, channels) in enumerate(zip(rig.parents, rig.channels, strict=True)):
+        places = [column + k for k, (kind, _) in enumerate(channels) if kind == "position"]
+        column += len(channels)
+        if parent == -1 or (parent in chain and children[parent] == 1):
             chain.add(joint)
-            if parent != -1 and (last - first)[joint].max() > CARRIES:
-                found.append(joint)
+            if parent != -1 and places:
+                first, last = np.percentile(unit * rig.values[:, places], [5, 95], axis=0)
+                if (last - first).max() > CARRIES:
+                    found.append(joint)
     return found
 
 
-def _hierarchy(path: Path, lines: list[str]) -> tuple[list[_Joint], int]:
+def _hierarchy(path: Path, lines: Lines) -> tuple[list[_Joint], int]:
     """Joints in file order, and the number of the line that says MOTION."""
     joints: list[_Joint] = []
-    blocks: list[int] = []
+    names: Counter[str] = Counter()
+    open_blocks: list[int] = []
     awaits_block = False
 
     def fail(what: str) -> NoReturn:
@@ -152,53 +173,61 @@ def _hierarchy(path: Path, lines: list[str]) -> tuple[list[_Joint], int]:
                 case "HIERARCHY":
                     pass
                 case "ROOT" | "JOINT" | "END":
-                    joints.append(_declared(key.upper(), words, number, joints, blocks, fail))
+                    joints.append(_declared(key.upper(), words, number, joints, names, open_blocks, fail))
                     awaits_block = True
                 case "{":
                     if not awaits_block:
                         fail("received '{' without a ROOT, JOINT or End Site before it, remove it")
-                    blocks.append(len(joints) - 1)
+                    open_blocks.append(len(joints) - 1)
                     awaits_block = False
                 case "}":
-                    if not blocks:
+                    if not open_blocks:
                         fail("received '}' with no block open, remove it")
-                    joint = joints[blocks.pop()]
+                    joint = joints[open_blocks.pop()]
                     if joint.offset is None:
                         fail(f"the block of {joint.name!r} (line {joint.line}) ends without an OFFSET, add it")
-                case "OFFSET" if blocks:
+                case "OFFSET" if open_blocks:
                     offset = [value for value in map(finite, words) if value is not None]
                     if not len(offset) == len(words) == 3:
                         fail(f"received OFFSET {shown(' '.join(words))}, give three finite numbers")
-                    joints[blocks[-1]].offset = offset
-                case "CHANNELS" if blocks:
-                    joints[blocks[-1]].channels = _channels(words, fail)
+                    joints[open_blocks[-1]].offset = offset
+                case "CHANNELS" if open_blocks:
+                    joints[open_blocks[-1]].channels = _channels(words, fail)
                 case _:
                     fail(
                         f"received {shown(key)}, which has no place here in a BVH hierarchy: check that the file is BVH"
                     )
     else:
-        where = f"inside the block of {joints[blocks[-1]].name!r}" if blocks else "before the line MOTION"
+        where = f"inside the block of {joints[open_blocks[-1]].name!r}" if open_blocks else "before the line MOTION"
         fail(f"the file ends {where}, it was cut off: get the whole file")
-    if blocks or awaits_block or not joints:
+    if open_blocks or awaits_block or not joints:
         what = f"inside the block of {joints[-1].name!r}" if joints else "before any ROOT"
         fail(f"MOTION begins {what}, the hierarchy was cut off: get the whole file")
     return joints, number
 
 
-def _declared(key: str, words: list[str], number: int, joints: list[_Joint], blocks: list[int], fail: _Fail) -> _Joint:
+def _declared(
+    key: str,
+    words: list[str],
+    number: int,
+    joints: list[_Joint],
+    names: Counter[str],
+    open_blocks: list[int],
+    fail: _Fail,
+) -> _Joint:
     """The joint that a line ROOT, JOINT or End Site declares in the innermost open block."""
-    parent = blocks[-1] if blocks else -1
+    parent = open_blocks[-1] if open_blocks else -1
     if (key == "ROOT") != (parent == -1):
         fail(f"received {key} {'outside of every' if parent == -1 else 'inside a'} ROOT, the braces do not match")
-    taken = {joint.name for joint in joints}
     name = " ".join(words)
     if key == "END":
         name = base = f"{joints[parent].name}_end"
-        count = 1
-        while name in taken:
-            name, count = f"{base}{count + 1}", count + 1
-    if not name or name in taken:
+        while name in names:
+            names[base] += 1  # so that many end sites of a joint are not counted over and over
+            name = f"{base}{names[base]}"
+    if not name or name in names:
         fail(f"received joint name {name!r} {'again' if name else ''}, give every joint a name of its own")
+    names[name] += 1
     return _Joint(name, parent, number, key == "END")
 
 
@@ -214,17 +243,22 @@ def _channels(words: list[str], fail: _Fail) -> list[tuple[str, int]]:
 
 
 def _motion(
-    path: Path, lines: list[str], start: int, columns: int, asked: Asked
+    path: Path, lines: Lines, start: int, joints: list[_Joint], asked: Asked
 ) -> tuple[np.ndarray, float, float, str]:
     """Values (frame, channel), frames a second, the frame time, and a line of history about the frame rate."""
+    columns = sum(len(joint.channels) for joint in joints)
     header: dict[str, tuple[int, str]] = {}
-    rows: list[tuple[int, str]] = []
-    for number, line in enumerate(lines[start:], start + 1):
-        match = None if rows else _HEADER.match(line)
+    begin, count = 0, 0
+    for number, line in enumerate(itertools.islice(lines, start, None), start + 1):
+        match = None if begin else _HEADER.match(line)
         if match:
             header[match[1].lower().split()[-1]] = (number, match[2])
         elif line.strip():
-            rows.append((number, line))
+            begin, count = begin or number, count + 1
+
+    def rows() -> Iterator[tuple[int, str]]:
+        numbered = enumerate(itertools.islice(lines, begin - 1, None), begin)
+        return ((number, line) for number, line in numbered if line.strip())
 
     if asked.fps is not None:
         fps, seconds, timing = asked.fps, 1 / asked.fps, f"took the frame rate asked for, {asked.fps:g}"
@@ -233,7 +267,7 @@ def _motion(
     else:
         number, text = header["time"]
         seconds = finite(text)
-        if seconds is None or seconds <= 0:
+        if seconds is None or not 1 / FASTEST <= seconds <= 1 / SLOWEST:
             raise MotionFormatError(
                 f"{path}, line {number}: received Frame Time {shown(text)}, write seconds above 0 or give fps= (--fps)"
             )
@@ -245,25 +279,26 @@ def _motion(
 
     if "frames" not in header:
         raise MotionFormatError(f"{path}, line {start}: no 'Frames:' follows MOTION, add it with the number of rows")
-    if not rows or not columns:
+    if not count or not columns:
         what = "the file ends before the first frame" if columns else "the hierarchy declares no channels"
         raise MotionFormatError(f"{path}, line {start}: {what}, get the whole file")
+    refuse_swollen(path, len(lines.content), count, len(joints))
     try:
-        values = np.loadtxt([line for _, line in rows], comments=None, ndmin=2)
+        values = np.loadtxt((line for _, line in rows()), comments=None, ndmin=2)
     except ValueError:
-        _blame(path, rows, columns)
-    if values.shape[1] != columns or not np.isfinite(values).all():
-        _blame(path, rows, columns)
+        _blame(path, rows(), columns)
+    if values.shape[1] != columns or not (np.abs(values) <= MOST).all():
+        _blame(path, rows(), columns)
     number, text = header["frames"]
-    if text != str(len(rows)):
+    if text != str(count):
         raise MotionFormatError(
-            f"{path}, line {number}: received Frames: {shown(text)} and {counted(len(rows), 'row')} of numbers, "
+            f"{path}, line {number}: received Frames: {shown(text)} and {counted(count, 'row')} of numbers, "
             "get the whole file or correct the number"
         )
     return values, fps, seconds, timing
 
 
-def _blame(path: Path, rows: list[tuple[int, str]], columns: int) -> NoReturn:
+def _blame(path: Path, rows: Iterator[tuple[int, str]], columns: int) -> NoReturn:
     """Raise about the first row that is not `columns` finite numbers."""
     for number, line in rows:
         words = line.split()
@@ -275,7 +310,7 @@ def _blame(path: Path, rows: list[tuple[int, str]], columns: int) -> NoReturn:
                 f"{path}, line {number}: received {counted(len(words), 'number')} for {counted(columns, 'channel')}, "
                 "the row was cut off or the hierarchy is another file's"
             )
-    raise MotionFormatError(f"{path}, line {rows[0][0]}: the rows are not plain numbers, export the file again")
+    raise MotionFormatError(f"{path}: the rows are not plain numbers, export the file again")
 
 
 def _extents(poses: np.ndarray) -> np.ndarray:

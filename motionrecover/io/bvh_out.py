@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from motionrecover.intake import fill
-from motionrecover.io.border import counted, from_metres, to_metres
+from motionrecover.io.border import counted, from_metres, plain, to_metres
 from motionrecover.io.errors import MotionFormatError, MotionFormatWarning
 from motionrecover.io.inverse_kinematics import Freedom, Pose, solve
 from motionrecover.io.kinematics import continuous_angles, euler_rotations, forward
@@ -36,6 +37,11 @@ _ROOT = (*(("position", axis) for axis in (0, 1, 2)), *(("rotation", axis) for a
 
 def write(motion: Motion, path: Path) -> None:
     """Write a motion as BVH; see `posed` for what is warned about and refused."""
+    for name in motion.names:
+        if not plain(name) or "  " in name or re.search("[{}]", name):
+            raise MotionFormatError(
+                f"received joint name {name!r}: BVH takes printable names without braces, spaces around and double ones"
+            )
     rig = posed(motion).rig
     assert rig is not None
     lines = [*_hierarchy(rig), "MOTION", f"Frames: {len(rig.values)}", f"Frame Time: {rig.frame_time!r}"]
@@ -149,18 +155,23 @@ def _made(motion: Motion) -> Rig:
             column.append(value)
         return len(names) - 1
 
-    def add(joint: int, parent: int) -> None:
-        name = motion.names[joint]
-        children = [child for child, at in enumerate(parents) if at == joint]
+    below: dict[int, list[int]] = {}
+    for joint, parent in enumerate(parents):
+        below.setdefault(parent, []).append(joint)
+    # Depth first, as the blocks of a file lie in each other.
+    waiting = [(below[-1][0], -1, False)]
+    while waiting:
+        joint, parent, apart = waiting.pop()
+        name, children = motion.names[joint], below.get(joint, [])
+        if apart:
+            parent = put(f"{names[parent]}_{name}", parent, np.zeros(3))
         end = not children and parent != -1 and name == f"{names[parent]}_end"
         place = put(name, parent, offsets[joint], end, new=False)
         bends = _bends(whole[:, children], offsets[children])
-        for child in children:
-            add(child, put(f"{name}_{motion.names[child]}", place, np.zeros(3)) if bends else place)
+        waiting += [(child, place, bends) for child in reversed(children)]
         if not children and not end:
             put(f"{name}_end", place, np.zeros(3), end=True)
 
-    add(parents.index(-1), -1)
     channels = tuple(() if end else _ROOT if at == -1 else _ROOT[3:] for end, at in zip(ends, above, strict=True))
     values = np.zeros((len(motion), sum(map(len, channels))))
     return Rig(tuple(names), tuple(above), np.array(rest), channels, tuple(ends), values, 1 / motion.fps, 1.0, "y")
@@ -201,7 +212,7 @@ def _offsets(motion: Motion, parents: Sequence[int], positions: np.ndarray) -> n
     measured = motion.skeleton.bone_lengths_of(motion.positions)
     for bone, (_, child) in enumerate(motion.skeleton.edges):
         seen = measured[np.isfinite(measured[:, bone]), bone]
-        if len(seen) and lengths[child] > 0:
+        if len(seen) and lengths[child] > ZERO_LENGTH:
             along[child] *= np.median(seen) / lengths[child]
     return along
 

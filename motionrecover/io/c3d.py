@@ -33,6 +33,7 @@ from motionrecover.io.border import (
     from_metres,
     motion_from,
     read_bytes,
+    refuse_swollen,
     shown,
     source_of,
     unit_spelled,
@@ -60,6 +61,7 @@ def read(path: Path, asked: Asked) -> Motion:
     """
     content = read_bytes(path)
     layout = layout_of(content)
+    refuse_swollen(path, len(content), layout.frames, layout.points)
     labels = _labels(layout)
     others = {label for name in NO_POSITIONS for label in _texts(layout, name)}
     columns = [column for column, label in enumerate(labels) if label not in others]
@@ -108,12 +110,7 @@ def write(motion: Motion, path: Path) -> None:
 
     Raises `MotionFormatError` where the motion does not fit its file any more, and for what no C3D file can hold.
     """
-    try:
-        path.write_bytes(_written(motion))
-    except MotionFormatError:
-        raise
-    except ValueError as error:
-        raise MotionFormatError(str(error)) from error
+    path.write_bytes(_written(motion))
 
 
 def _written(motion: Motion) -> bytes:

@@ -1,4 +1,4 @@
-"""CSV: one table, wide or long, described by comment lines at its top; read and written, exact.
+"""CSV: one table, wide or long, described by comment lines at its top; read here, written by `csv_out`, exact.
 
     # fps: 120                                     # unit: m          (m, cm, mm, in, ft, or metres in one unit)
     # up: y                                        # parents: -1, 0   or  # bones: [["root", "knee"], ...]  or  a-b, c-d
@@ -14,10 +14,12 @@ a header has x, y, z of marker1, marker2, ... in its columns.
 from __future__ import annotations
 
 import csv
+import itertools
 import json
-import math
 import re
-from collections.abc import Callable, Sequence
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NoReturn, TypeVar
@@ -27,14 +29,15 @@ import numpy as np
 from motionrecover.io.bones import skeleton_for
 from motionrecover.io.border import (
     Asked,
+    Lines,
     assume,
     counted,
     finite,
     frame_rate,
     metres_in,
     motion_from,
-    parents_of,
     read_lines,
+    refuse_swollen,
     shown,
     up_axis,
 )
@@ -54,29 +57,59 @@ NO_HEADER = 0
 _COLUMN = re.compile(r"(.+)[._ ](x|y|z|confidence|observed)$", re.IGNORECASE | re.DOTALL)
 _T = TypeVar("_T")
 
-_PARTS = ("x", "y", "z", "confidence", "observed")
+_EXTRA = ("confidence", "observed")
+_PARTS = ("x", "y", "z", *_EXTRA)
 
 
 @dataclass(frozen=True)
 class _Table:
     path: Path
+    lines: Lines
     comments: dict[str, tuple[int, str]]
     """Line number and text of each key."""
     header_line: int
     columns: list[str]
-    numbers: list[int]
-    """Line number of each row."""
-    rows: list[list[str]]
+    delimiter: str
+    begin: int
+    """Number of the line from which on there are rows."""
+
+    def filled(self) -> Iterator[tuple[int, str]]:
+        """Line number and text of each row."""
+        return ((number, line) for number, line in enumerate(self.lines, 1) if number >= self.begin and line.strip())
+
+    def number(self, row: int) -> int:
+        """Line number of a row."""
+        return next(itertools.islice(self.filled(), int(row), None))[0]
+
+    def rows(self) -> Iterator[list[str]]:
+        """Cells of each row, as many as there are columns."""
+        lines = (line for _, line in self.filled())
+        rows = csv.reader(lines, delimiter=self.delimiter, skipinitialspace=True, strict=True)
+        try:
+            for k, row in enumerate(rows):
+                if rows.line_num != k + 1:
+                    raise csv.Error("one goes on in the next line")
+                if len(row) != len(self.columns):
+                    raise MotionFormatError(
+                        f"{self.path}, line {self.number(k)}: received {counted(len(row), 'cell')} under "
+                        f"{counted(len(self.columns), 'column')}, the row was cut off or has a stray separator"
+                    )
+                yield row
+        except csv.Error as error:
+            raise _unpaired(self.path, self.number(rows.line_num - 1), error) from error
 
 
 @dataclass(frozen=True)
 class _Samples:
-    """What the rows say: names in file order; parts (frame, joint, 5) in the order of `_PARTS`, NaN where empty."""
+    """What the rows say: names in file order, and an array (frame, joint, ...) for each that has columns.
+
+    NaN where empty.
+    """
 
     names: list[str]
-    parts: np.ndarray
-    has: set[str]
-    """The parts that the table has columns for."""
+    positions: np.ndarray
+    confidence: np.ndarray | None
+    observed: np.ndarray | None
 
 
 def read(path: Path, asked: Asked) -> Motion:
@@ -97,8 +130,9 @@ def read(path: Path, asked: Asked) -> Motion:
         name = "fps" if fps is None else "unit"
         raise MotionFormatError(f"{path} states no {name}: give {name}= (--{name}) or start it with '# {name}: ...'")
     own = _own_skeleton(table, samples.names)
-    skeleton, order, note = skeleton_for(path, samples.names, own, asked.skeleton, samples.parts[..., :3])
-    frames, joints = samples.parts.shape[:2]
+    positions = samples.positions
+    skeleton, order, note = skeleton_for(path, samples.names, own, asked.skeleton, positions)
+    frames, joints = positions.shape[:2]
     history = [
         *(_stated(table, "history", _history) or []),
         f"read {path.name} (CSV): {counted(frames, 'frame')}, {counted(joints, 'joint')}; {note}",
@@ -108,115 +142,55 @@ def read(path: Path, asked: Asked) -> Motion:
     if up is None:
         up = "y"
         history.append(assume(f"{path.name} states no up axis: assumed y, override with up= (--up)"))
-    parts = samples.parts[:, order]
+    with np.errstate(over="ignore"):  # what gets infinite by it is refused by `Motion`
+        positions = positions.astype(_stated(table, "dtype", _dtype) or np.float64, copy=False)
     return motion_from(
-        parts[..., :3].astype(_stated(table, "dtype", _dtype) or np.float64),
+        positions,
         skeleton,
         fps=fps,
         unit=unit,
         up=up,
         history=tuple(history),
-        observed=np.isfinite(parts[..., :3]).all(-1) & (parts[..., 4] != 0) if "observed" in samples.has else None,
-        confidence=parts[..., 3] if "confidence" in samples.has else None,
+        order=order,
+        observed=None if samples.observed is None else samples.observed != 0,
+        confidence=samples.confidence,
     )
 
 
-def write_wide(motion: Motion, path: Path) -> None:
-    """Write a motion as a row a frame, in metres with y up, every number exact."""
-    parts = _written_parts(motion)
-    columns = ["frame", *(f"{name}_{part}" for name in motion.names for part, _, _ in parts)]
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(_comments(motion))
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(columns)
-        for frame in range(len(motion)):
-            cells = [[_cell(v, form) for v in values[frame].tolist()] for _, values, form in parts]
-            table.writerow([frame, *(cell for joint in zip(*cells, strict=True) for cell in joint)])
-
-
-def write_long(motion: Motion, path: Path) -> None:
-    """Write a motion as a row a frame and joint, in metres with y up, every number exact."""
-    parts = _written_parts(motion)
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(_comments(motion))
-        table = csv.writer(file, lineterminator="\n")
-        table.writerow(["frame", "joint", *(part for part, _, _ in parts)])
-        for frame in range(len(motion)):
-            cells = [[_cell(v, form) for v in values[frame].tolist()] for _, values, form in parts]
-            table.writerows([frame, *row] for row in zip(motion.names, *cells, strict=True))
-
-
-def _written_parts(motion: Motion) -> list[tuple[str, np.ndarray, str]]:
-    """(name, values (frame, joint), number format) of the columns that a motion needs."""
-    for name in motion.names:
-        if not name or name != name.strip() or not name.isprintable():
-            raise ValueError(f"received joint name {name!r}: CSV takes printable names without spaces around them")
-    # 9 significant digits restore every float32, 17 every float64.
-    form = ".9g" if motion.positions.dtype.itemsize <= 4 else ".17g"
-    parts = [(axis, motion.positions[..., i], form) for i, axis in enumerate("xyz")]
-    if motion.confidence is not None:
-        parts.append(("confidence", np.asarray(motion.confidence, float), ".17g"))
-    if (motion.observed != np.isfinite(motion.positions).all(-1)).any():
-        parts.append(("observed", motion.observed, "d"))
-    return parts
-
-
-def _cell(value: float, form: str) -> str:
-    return "" if math.isnan(value) else format(value, form)
-
-
-def _comments(motion: Motion) -> str:
-    """The comment lines that describe a motion."""
-    skeleton = motion.skeleton
-    parents = parents_of(skeleton)
-    lines = {
-        "fps": repr(float(motion.fps)),
-        "unit": "m",
-        "up": "y",
-        "dtype": min(motion.positions.dtype, np.dtype("f8")).name,
-    }
-    if parents is None:
-        bones = [[skeleton.names[i], skeleton.names[j]] for i, j in skeleton.edges]
-        lines["bones"] = json.dumps(bones, ensure_ascii=False)
-    else:
-        lines["parents"] = ", ".join(map(str, parents))
-    if skeleton.rest_offsets is not None:
-        lines["rest_offsets"] = json.dumps(skeleton.rest_offsets)
-    if motion.history:
-        lines["history"] = json.dumps(motion.history, ensure_ascii=False)
-    return "".join(f"# {key}: {value}\n" for key, value in lines.items())
-
-
 def _table(path: Path) -> _Table:
-    """Comments, columns and rows of a CSV file, every row as long as the header."""
+    """Comments and columns of a CSV file, and where its rows begin."""
+    lines = read_lines(path)
     comments: dict[str, tuple[int, str]] = {}
-    filled = [(number, line) for number, line in enumerate(read_lines(path), 1) if line.strip()]
-    while filled and filled[0][1].lstrip().startswith("#"):
-        number, line = filled.pop(0)
+    filled = ((number, line) for number, line in enumerate(lines, 1) if line.strip())
+    number, header = 0, None
+    for number, line in filled:
+        if not line.lstrip().startswith("#"):
+            header = line
+            break
         key, _, value = line.lstrip(" #").partition(":")
         if key.strip().lower() in KEYS:
             comments[key.strip().lower()] = (number, value.strip())
-    if len(filled) < 2:
-        raise MotionFormatError(f"{path} holds {'no rows' if filled else 'no header'}: get the whole file")
-    numbers = [number for number, _ in filled]
-    delimiter = next((mark for mark in ",;\t" if mark in filled[0][1]), ",")
-    first = [cell.strip() for cell in filled[0][1].split(delimiter)]
-    if len(first) % 3 == 0 and all(finite(cell or "0") is not None for cell in first):
-        header = delimiter.join(f"marker{marker + 1}_{axis}" for marker in range(len(first) // 3) for axis in "xyz")
-        filled.insert(0, (NO_HEADER, header))
-        numbers.insert(0, NO_HEADER)
+    if header is None:
+        raise MotionFormatError(f"{path} holds no header: get the whole file")
+    delimiter = next((mark for mark in ",;\t" if mark in header), ",")
+    first = [cell.strip() for cell in header.split(delimiter)]
+    named = len(first) % 3 != 0 or any(finite(cell or "0") is None for cell in first)
+    if next(filled, None) is None:
+        raise MotionFormatError(f"{path} holds no rows: get the whole file")
+    if not named:
+        columns = [f"marker{marker + 1}_{axis}" for marker in range(len(first) // 3) for axis in "xyz"]
+        return _Table(path, lines, comments, NO_HEADER, columns, delimiter, number)
     try:
-        cells = csv.reader((line for _, line in filled), delimiter=delimiter, skipinitialspace=True, strict=True)
-        columns, *rows = list(cells)
+        (columns,) = csv.reader([header], delimiter=delimiter, skipinitialspace=True, strict=True)
     except csv.Error as error:
-        raise MotionFormatError(f"{path} has quotation marks that do not pair up ({error}): correct them") from error
-    for number, row in zip(numbers[1:], rows, strict=False):
-        if len(row) != len(columns):
-            raise MotionFormatError(
-                f"{path}, line {number}: received {counted(len(row), 'cell')} under {counted(len(columns), 'column')}, "
-                "the row was cut off or has a stray separator"
-            )
-    return _Table(path, comments, numbers[0], [column.strip() for column in columns], numbers[1:], rows)
+        raise _unpaired(path, number, error) from error
+    return _Table(path, lines, comments, number, [column.strip() for column in columns], delimiter, number + 1)
+
+
+def _unpaired(path: Path, line: int, error: csv.Error) -> MotionFormatError:
+    return MotionFormatError(
+        f"{path}, line {line}: received quotation marks that do not pair up ({error}), correct them"
+    )
 
 
 def _wide(table: _Table) -> _Samples:
@@ -240,83 +214,101 @@ def _wide(table: _Table) -> _Samples:
         lost = next((axis for axis in "xyz" if axis not in parts), None)
         if lost:
             _fail_header(table, f"received joint {name!r} without {lost}, add the column {name}_{lost}")
+    # The coordinates come first and in order, so that the positions need no copy.
+    used = [parts[axis] for parts in where.values() for axis in "xyz"]
+    extra = [
+        (part, joint, c) for joint, parts in enumerate(where.values()) for part, c in parts.items() if part in _EXTRA
+    ]
+    values, _ = _values(table, [*used, *(c for *_, c in extra), *([] if clock is None else [clock])])
     if clock is not None:
-        frames = _frames(table, clock).tolist()
-        for i, step in enumerate(np.diff(frames).tolist()):
-            if step != 1:
-                raise MotionFormatError(
-                    f"{table.path}, line {table.numbers[i + 1]}: received frame {frames[i + 1]} after {frames[i]}, "
-                    "give every frame a row, with empty cells where nothing was measured"
-                )
-    parts = np.full((len(table.rows), len(where), len(_PARTS)), np.nan)
-    used = [(joint, _PARTS.index(part), c) for joint, found in enumerate(where.values()) for part, c in found.items()]
-    joints, slots, chosen = (list(each) for each in zip(*used, strict=True))
-    parts[:, joints, slots] = _floats(table, chosen)
-    return _Samples(list(where), parts, {part for found in where.values() for part in found})
+        frames = _frames(table, values[:, -1])
+        for i in np.flatnonzero(np.diff(frames) != 1)[:1]:
+            raise MotionFormatError(
+                f"{table.path}, line {table.number(i + 1)}: received frame {frames[i + 1]} after {frames[i]}, "
+                "give every frame a row, with empty cells where nothing was measured"
+            )
+    found = {part: np.full((len(values), len(where)), np.nan) for part, *_ in extra}
+    for column, (part, joint, _) in enumerate(extra, len(used)):
+        found[part][:, joint] = values[:, column]
+    positions = values[:, : len(used)].reshape(len(values), len(where), 3)
+    return _Samples(list(where), positions, found.get("confidence"), found.get("observed"))
 
 
 def _long(table: _Table) -> _Samples:
     """Samples of a table with a row a frame and joint."""
     columns = [column.lower() for column in table.columns]
-    wrong = [name for name in columns if name not in ("frame", "joint", *_PARTS, *CLOCKS) or columns.count(name) > 1]
+    times = Counter(columns)
+    wrong = [name for name in columns if name not in ("frame", "joint", *_PARTS, *CLOCKS) or times[name] > 1]
     if wrong or "frame" not in columns:
         what = f"received column {shown(wrong[0])}" if wrong else "received no column frame"
         _fail_header(table, f"{what}, name each of frame, joint, x, y, z, confidence, observed once")
     at_frame, at_joint = columns.index("frame"), columns.index("joint")
-    frames = _frames(table, at_frame)
-    joints = [row[at_joint].strip() for row in table.rows]
+    has = [part for part in _PARTS if part in columns]
+    values, joints = _values(table, [*(columns.index(part) for part in has), at_frame], at_joint)
+    frames = _frames(table, values[:, -1])
     index = {name: j for j, name in enumerate(dict.fromkeys(joints))}
     first, count = int(frames.min()), int(np.ptp(frames)) + 1
-    # A clip may lack whole frames, but time stamps would ask for memory without end.
+    # A clip may lack frames, but time stamps would ask for memory without end.
     if count > 10 * len(frames):
         raise MotionFormatError(
             f"{table.path} has frames {first} to {first + count - 1} in {counted(len(frames), 'row')}: "
             "number the frames one by one"
         )
+    refuse_swollen(table.path, len(table.lines.content), count, len(index))
     where = (frames - first) * len(index) + np.array([index[name] for name in joints])
     places, firsts = np.unique(where, return_index=True)
     if len(places) != len(where):
         row = int(np.setdiff1d(np.arange(len(where)), firsts)[0])
         raise MotionFormatError(
-            f"{table.path}, line {table.numbers[row]}: received frame {frames[row]} of joint {joints[row]!r} again, "
+            f"{table.path}, line {table.number(row)}: received frame {frames[row]} of joint {joints[row]!r} again, "
             "remove one"
         )
-    has = [part for part in _PARTS if part in columns]
-    parts = np.full((count * len(index), len(_PARTS)), np.nan)
-    slots = np.array([_PARTS.index(part) for part in has])
-    parts[where[:, None], slots] = _floats(table, [columns.index(part) for part in has])
-    return _Samples(list(index), parts.reshape(count, len(index), len(_PARTS)), set(has))
+    positions = np.full((count * len(index), 3), np.nan)
+    positions[where] = values[:, :3]
+    extra = {}
+    for column, part in enumerate(has[3:], 3):
+        extra[part] = np.full(len(positions), np.nan)
+        extra[part][where] = values[:, column]
+    shape = count, len(index)
+    extra = {part: each.reshape(shape) for part, each in extra.items()}
+    return _Samples(list(index), positions.reshape(*shape, 3), extra.get("confidence"), extra.get("observed"))
 
 
-def _floats(table: _Table, columns: Sequence[int]) -> np.ndarray:
-    """Cells (row, column) as float64, NaN where empty."""
-    try:
-        values = np.array([[float(row[c].strip() or "nan") for c in columns] for row in table.rows])
-        if not np.isinf(values).any():
-            return values
-    except ValueError:
-        pass
-    missing = ("", "nan", "+nan", "-nan")
-    number, cell, c = next(
-        (number, row[c].strip(), c)
-        for number, row in zip(table.numbers, table.rows, strict=True)
+def _values(table: _Table, columns: Sequence[int], label: int | None = None) -> tuple[np.ndarray, list[str]]:
+    """Cells (row, column) as float64, NaN where empty, and the texts of the column `label`, row after row."""
+    rows, labels = sum(1 for _ in table.filled()), []
+    refuse_swollen(table.path, len(table.lines.content), rows, len(columns) // 3)
+    values = np.empty((rows, len(columns)))
+    for k, row in enumerate(table.rows()):
+        try:
+            values[k] = [float(row[c].strip() or "nan") for c in columns]
+        except ValueError:
+            _blame(table, k, row, columns)
+        if label is not None:
+            labels.append(sys.intern(row[label].strip()))
+    for k in np.flatnonzero(np.isinf(values).any(1))[:1]:
+        _blame(table, k, next(itertools.islice(table.rows(), int(k), None)), columns)
+    return values, labels
+
+
+def _blame(table: _Table, k: int, row: list[str], columns: Sequence[int]) -> NoReturn:
+    """Raise about the first cell of row k that is neither empty nor a finite number."""
+    cell, column = next(
+        (row[c].strip(), table.columns[c])
         for c in columns
-        if row[c].strip().lower() not in missing and finite(row[c]) is None
+        if row[c].strip().lower() not in ("", "nan", "+nan", "-nan") and finite(row[c]) is None
     )
     raise MotionFormatError(
-        f"{table.path}, line {number}: received {shown(cell)} in column {table.columns[c]!r}, write a finite number, "
-        "or nothing where nothing was measured"
+        f"{table.path}, line {table.number(k)}: received {shown(cell)} in column {column!r}, write a finite number, or "
+        "nothing where nothing was measured"
     )
 
 
-def _frames(table: _Table, column: int) -> np.ndarray:
+def _frames(table: _Table, values: np.ndarray) -> np.ndarray:
     """Frame numbers (row,)."""
-    values = _floats(table, [column])[:, 0]
     for i in np.flatnonzero(np.isnan(values) | (values != np.trunc(values)) | (np.abs(values) > 2**53))[:1]:
-        raise MotionFormatError(
-            f"{table.path}, line {table.numbers[i]}: received frame {shown(table.rows[i][column])}, write a "
-            "whole number"
-        )
+        what = "no frame" if np.isnan(values[i]) else f"frame {values[i]:.10g}"
+        raise MotionFormatError(f"{table.path}, line {table.number(i)}: received {what}, write a whole number")
     return values.astype(np.int64)
 
 
@@ -374,7 +366,7 @@ def _bones(text: str, names: list[str]) -> list[tuple[str, str]]:
 def _json_list(text: str) -> list:
     try:
         value = json.loads(text)
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):
         value = None
     if not isinstance(value, list):
         raise ValueError(f"received {shown(text)}, write a JSON list")
@@ -384,7 +376,7 @@ def _json_list(text: str) -> list:
 def _vectors(text: str) -> np.ndarray:
     try:
         return np.array(_json_list(text), float)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"received {shown(text)}, write one [x, y, z] a joint") from error
 
 

@@ -10,24 +10,21 @@ The body comes first and is what is read. Its names are those of the JSON file b
 skeleton asked for, or of the tracker's own keypoints. Where the reprojection errors e (frame, marker), in pixels, are
 found, confidence is min(1, median e / e): an error in space grows as the one in the pictures, and the noise of a sample
 is taken to be that of its joint over its confidence. None of these files states a rate. Arrays in `raw_data` are not
-aligned yet: their axes are a camera's. Nothing is ever unpickled, nor read where header and size of a file differ.
+aligned yet: their axes are a camera's.
 """
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterable
-from math import prod
 from pathlib import Path
-from tokenize import TokenError
 
 import numpy as np
-from numpy.lib import format as npy
 
 from motionrecover.io.bones import INFER, named, skeleton_for
 from motionrecover.io.border import Asked, assume, counted, motion_from, read_bytes
 from motionrecover.io.errors import MotionFormatError
+from motionrecover.io.npy import array_of
 from motionrecover.motion import Motion
 from motionrecover.skeleton import Skeleton
 
@@ -43,7 +40,7 @@ def read(path: Path, asked: Asked) -> Motion:
     `MotionFormatError` for a file that is no whole array of such a shape, and where nothing names its markers.
     """
     positions = _array(path)
-    if positions.ndim != 3 or positions.shape[2] != 3 or positions.dtype.kind != "f":
+    if positions.ndim != 3 or positions.shape[2] != 3 or positions.dtype.kind != "f" or not positions.shape[1]:
         raise MotionFormatError(
             f"{path} holds an array of shape {positions.shape} and type {positions.dtype}: "
             "give real numbers of shape (frame, marker, 3)"
@@ -68,13 +65,14 @@ def read(path: Path, asked: Asked) -> Motion:
             )
         )
     return motion_from(
-        positions[:, order],
+        positions,
         skeleton,
         fps=asked.fps,
         unit=asked.unit or 0.001,
         up=asked.up or "z",
         history=tuple(history),
-        confidence=None if confidence is None else confidence[:, order],
+        order=order,
+        confidence=confidence,
     )
 
 
@@ -84,20 +82,12 @@ def beside(path: Path) -> list[Path]:
 
 
 def _array(path: Path) -> np.ndarray:
-    """The array of an NPY file that holds exactly what its header says, and no objects."""
+    """The array of an NPY file."""
     content = read_bytes(path)
-    file = io.BytesIO(content)
     try:
-        version = npy.read_magic(file)
-        read_header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[version]
-        shape, _, dtype = read_header(file)
-    except (ValueError, KeyError, TypeError, SyntaxError, TokenError) as error:  # NumPy has Python parse the header
-        raise MotionFormatError(f"{path} is no NPY file of plain numbers: check its name or give format=") from error
-    size, needed = len(content) - file.tell(), prod(shape) * dtype.itemsize
-    if dtype.hasobject or size != needed:
-        what = "holds objects" if dtype.hasobject else f"holds {size} bytes of the {needed} that shape {shape} takes"
-        raise MotionFormatError(f"{path} {what}: get the whole file, saved as plain numbers")
-    return np.load(io.BytesIO(content), allow_pickle=False)
+        return array_of(content)
+    except ValueError as error:
+        raise MotionFormatError(f"{path}: {error}") from error
 
 
 def _names(path: Path, markers: int, asked: Skeleton | str | Path | None) -> tuple[list[str], str]:
@@ -126,7 +116,7 @@ def _body(path: Path) -> list[str]:
     """Names of the body's markers in FreeMoCap's JSON file."""
     try:
         names = json.loads(path.read_text(encoding="utf-8"))["body"]["names"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise MotionFormatError(f'{path} has no list "names" in "body": copy it again or take it away') from error
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         raise MotionFormatError(f'{path} has {type(names).__name__} as "names" of "body": write a list of names')

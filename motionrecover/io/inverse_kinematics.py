@@ -166,7 +166,10 @@ def _refine(freedom: Freedom, start: Pose, targets: np.ndarray) -> Pose:
             break
         now, goal, x = _part(best, active), targets[active], gone[active]
         jacobian, left = _linear(freedom, unknowns, now, goal)
-        normal = _squared(jacobian) + (PULL + damping[active])[:, None, None] * np.eye(len(unknowns))
+        normal = _squared(jacobian)
+        # Where bones are kilometres long, PULL alone is less than their squares' last digit.
+        least = 1e-12 * np.diagonal(normal, axis1=1, axis2=2).max(-1)
+        normal += (PULL + damping[active] + least)[:, None, None] * np.eye(len(unknowns))
         step = _solved(normal, jacobian @ left[..., None] - PULL * x[..., None])[..., 0]
         tried = _moved(freedom, unknowns, now, step)
         positions, _ = forward(freedom.parents, tried.translations, tried.rotations)

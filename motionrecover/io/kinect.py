@@ -7,12 +7,14 @@ missing. The sensor drops frames: lines go to the frames that their times say, a
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from motionrecover.io.bones import skeleton_for
-from motionrecover.io.border import Asked, counted, finite, motion_from, read_lines, shown
+from motionrecover.io.border import Asked, Lines, counted, finite, motion_from, read_lines, refuse_swollen, shown
 from motionrecover.io.errors import MotionFormatError
 from motionrecover.motion import Motion
 from motionrecover.skeleton import Skeleton
@@ -44,8 +46,48 @@ def read(path: Path, asked: Asked) -> Motion:
     The rate is that of the times, to a tenth of a frame: they wobble by 1 ms. Raises `MotionFormatError` for lines of
     another length, numbers that are none, unknown states, and times that do not increase or are of another clock.
     """
-    lines = [(number, _cells(line)) for number, line in enumerate(read_lines(path), 1) if line.strip()]
-    for number, cells in lines:
+    lines = read_lines(path)
+    values = _values(path, lines)
+    frames, rate = _clock(path, lines, values[:, 0], asked.fps)
+    refuse_swollen(path, len(lines.content), frames[-1] + 1, len(JOINTS))
+    samples = values[:, 1:].reshape(len(values), -1, 4)
+    states = samples[..., 3]
+    observed = np.isfinite(samples[..., :3]).all(-1) & (states > 0)
+    positions = np.full((frames[-1] + 1, len(JOINTS), 3), np.nan)
+    positions[frames] = np.where(observed[..., None], samples[..., :3], np.nan)
+    confidence = np.zeros(positions.shape[:2])
+    confidence[frames] = np.select([observed & (states == 2), observed], [1.0, INFERRED])
+    skeleton, order, note = skeleton_for(path, JOINTS, None, asked.skeleton, positions)
+    dropped = len(positions) - len(values)
+    return motion_from(
+        positions,
+        skeleton,
+        fps=rate,
+        unit=asked.unit or 1.0,
+        up=asked.up or "y",
+        history=(
+            f"read {path.name} (Kinect v2): {counted(len(positions), 'frame')}, {dropped} of them dropped by the "
+            f"sensor, {np.mean(confidence == INFERRED):.1%} of the samples inferred and of confidence {INFERRED}; "
+            f"{note}",
+        ),
+        order=order,
+        confidence=confidence,
+    )
+
+
+def _cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip().rstrip(",").split(",")]
+
+
+def _filled(lines: Lines) -> Iterator[tuple[int, str]]:
+    return ((number, line) for number, line in enumerate(lines, 1) if line.strip())
+
+
+def _values(path: Path, lines: Lines) -> np.ndarray:
+    """The cells (line, column) as float64; coordinates of joints that are not tracked may be NaN or infinite."""
+    values = np.empty((sum(1 for _ in _filled(lines)), COLUMNS))
+    for k, (number, line) in enumerate(_filled(lines)):
+        cells = _cells(line)
         if len(cells) != COLUMNS:
             raise MotionFormatError(
                 f"{path}, line {number}: received {counted(len(cells), 'number')}, a line of Kinect v2 has {COLUMNS}: "
@@ -57,49 +99,15 @@ def read(path: Path, asked: Asked) -> Motion:
                 f"{path}, line {number}: received the tracking state {shown(state)}, write 0 (not tracked), "
                 "1 (inferred) or 2 (tracked)"
             )
-    values = _numbers(path, lines)
-    frames, rate = _clock(path, values[:, 0], [number for number, _ in lines], asked.fps)
-    samples = np.full((frames[-1] + 1, len(JOINTS), 4), np.nan)
-    samples[frames] = values[:, 1:].reshape(len(values), -1, 4)
-    positions, states = samples[..., :3], samples[..., 3]
-    observed = np.isfinite(positions).all(-1) & (states > 0)
-    positions = np.where(observed[..., None], positions, np.nan)
-    confidence = np.select([observed & (states == 2), observed], [1.0, INFERRED])
-    skeleton, order, note = skeleton_for(path, JOINTS, None, asked.skeleton, positions)
-    dropped = len(samples) - len(values)
-    return motion_from(
-        positions[:, order],
-        skeleton,
-        fps=rate,
-        unit=asked.unit or 1.0,
-        up=asked.up or "y",
-        history=(
-            f"read {path.name} (Kinect v2): {counted(len(samples), 'frame')}, {dropped} of them dropped by the sensor, "
-            f"{np.mean(confidence == INFERRED):.1%} of the samples inferred and of confidence {INFERRED}; {note}",
-        ),
-        confidence=confidence[:, order],
-    )
+        for column, cell in enumerate(cells):
+            try:
+                values[k, column] = cell
+            except ValueError as error:
+                raise MotionFormatError(f"{path}, line {number}: received {shown(cell)}, write a number") from error
+    return values
 
 
-def _cells(line: str) -> list[str]:
-    return [cell.strip() for cell in line.strip().rstrip(",").split(",")]
-
-
-def _numbers(path: Path, lines: list[tuple[int, list[str]]]) -> np.ndarray:
-    """The cells (line, column) as float64; coordinates of joints that are not tracked may be NaN or infinite."""
-    try:
-        return np.array([cells for _, cells in lines], float)
-    except ValueError as error:
-        for number, cells in lines:
-            for cell in cells:
-                try:
-                    float(cell)
-                except ValueError:
-                    raise MotionFormatError(f"{path}, line {number}: received {shown(cell)}, write a number") from error
-        raise
-
-
-def _clock(path: Path, times: np.ndarray, numbers: list[int], asked: float | None) -> tuple[np.ndarray, float]:
+def _clock(path: Path, lines: Lines, times: np.ndarray, asked: float | None) -> tuple[np.ndarray, float]:
     """Frame (line,) of each line, from 0, and frames a second."""
     if len(times) == 1:
         if asked is None:
@@ -107,8 +115,9 @@ def _clock(path: Path, times: np.ndarray, numbers: list[int], asked: float | Non
         return np.zeros(1, int), asked
     steps = np.diff(times)
     for late in np.flatnonzero(~(steps > 0))[:1]:
+        number, _ = next(itertools.islice(_filled(lines), int(late) + 1, None))
         raise MotionFormatError(
-            f"{path}, line {numbers[late + 1]}: received the time {times[late + 1]:.0f} after {times[late]:.0f}, "
+            f"{path}, line {number}: received the time {times[late + 1]:.0f} after {times[late]:.0f}, "
             "put the lines in order of their times"
         )
     counts = np.maximum(np.round(steps / np.median(steps)), 1)

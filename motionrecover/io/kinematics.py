@@ -11,6 +11,15 @@ from motionrecover.rotations import about
 LOCKED = 1e-4
 """Cosine of the middle angle below which the first and the last turn about one axis and only their sum shows."""
 
+FEW = 2**11
+"""Rotation matrices that are always made in one go."""
+
+
+def blocks(frames: int, joints: int) -> list[slice]:
+    """Parts of the frames to pose one by one: rotations and what leads to them take ten times the positions' memory."""
+    some = max(1, FEW // joints, frames // 32)
+    return [slice(first, first + some) for first in range(0, frames, some)]
+
 
 def euler_rotations(angles: np.ndarray, orders: Sequence[str]) -> np.ndarray:
     """Rotation matrices (..., joint, 3, 3) of angles (..., joint, 3) in radians.

@@ -110,13 +110,14 @@ def from_xarray(
     if up is None and "up" not in told:
         history.append(assume("the dataset states no up axis: assumed y, override with up=", deeper=-1))
     return motion_from(
-        positions[:, order],
+        positions,
         taken,
         fps=frame_rate(fps) if fps is not None else _rate(dataset),
         unit=metres,
         up=up_axis(up or told.get("up", "y")),
         history=tuple(history),
-        confidence=None if confidence is None else confidence[:, order],
+        order=order,
+        confidence=confidence,
     )
 
 

@@ -9,6 +9,7 @@ Arrays: `positions` (frame, joint, 3) in metres with y up, float32 or float64, N
 from __future__ import annotations
 
 import io
+import struct
 import zipfile
 import zlib
 from collections.abc import Mapping
@@ -25,11 +26,24 @@ from motionrecover.io.border import (
     motion_from,
     parents_of,
     read_bytes,
+    refuse_swollen,
     up_axis,
 )
 from motionrecover.io.errors import MotionFormatError
+from motionrecover.io.npy import array_of
 from motionrecover.motion import Motion
 from motionrecover.skeleton import STANDARDS, Skeleton
+
+KINDS = {
+    **dict.fromkeys(("positions", "fps", "rest_offsets", "confidence", "parents", "edges"), "fiu"),
+    **dict.fromkeys(("names", "source", "up", "history"), "UfiuS"),
+    "unit": "fiuU",
+    "observed": "bfiu",
+}
+"""The arrays that mean something, with the kinds of type they can have, as NumPy's `dtype.kind`."""
+WHOLE = ("parents", "edges")
+PACKED, SMALL = 8, 2**22
+"""A file unpacks to so many times its size at most, or to so many bytes; clips that move pack to a half or less."""
 
 
 def read(path: Path, asked: Asked) -> Motion:
@@ -42,13 +56,14 @@ def read(path: Path, asked: Asked) -> Motion:
         if needed not in arrays:
             raise MotionFormatError(f"{path} holds {sorted(arrays)}: add the array {needed!r}")
     positions = arrays["positions"]
-    if positions.ndim != 3 or positions.shape[2] != 3 or positions.dtype.kind not in "fiu":
+    if positions.ndim != 3 or positions.shape[2] != 3:
         raise MotionFormatError(
             f"{path} holds positions of shape {positions.shape} and type {positions.dtype}: "
             "store real numbers of shape (frame, joint, 3)"
         )
-    names = [str(name) for name in arrays["names"].ravel()]
     frames, joints = positions.shape[:2]
+    refuse_swollen(path, sum(array.nbytes for array in arrays.values()), frames, joints)
+    names = [str(name) for name in arrays["names"].ravel()]
     shapes = {
         "names": (joints,),
         "parents": (joints,),
@@ -72,7 +87,7 @@ def read(path: Path, asked: Asked) -> Motion:
     skeleton, order, note = skeleton_for(path, names, _own_skeleton(arrays, names), asked.skeleton, positions)
     source = f", from {arrays['source']}" if str(arrays.get("source", "")) else ""
     return motion_from(
-        positions[:, order],
+        positions,
         skeleton,
         fps=asked.fps or frame_rate(arrays["fps"].item()),
         unit=asked.unit or metres_in(arrays["unit"].item() if "unit" in arrays else 1.0),
@@ -81,8 +96,9 @@ def read(path: Path, asked: Asked) -> Motion:
             *(str(line) for line in arrays.get("history", np.empty(0, str)).ravel()),
             f"read {path.name} (NPZ): {counted(frames, 'frame')}, {counted(joints, 'joint')}{source}; {note}",
         ),
-        observed=arrays["observed"][:, order] if "observed" in arrays else None,
-        confidence=arrays["confidence"][:, order] if "confidence" in arrays else None,
+        order=order,
+        observed=arrays.get("observed"),
+        confidence=arrays.get("confidence"),
     )
 
 
@@ -110,22 +126,62 @@ def write(motion: Motion, path: Path) -> None:
         arrays["rest_offsets"] = np.array(skeleton.rest_offsets)
     if motion.confidence is not None:
         arrays["confidence"] = np.asarray(motion.confidence, float)
+    headers = 1000 * len(arrays)
     with path.open("wb") as file:
         np.savez_compressed(file, **arrays)
+        if _dense(sum(array.nbytes for array in arrays.values()) + headers, file.tell()):
+            file.seek(0)
+            np.savez(file, **arrays)
 
 
-def _arrays(path: Path) -> Mapping[str, np.ndarray]:
-    """All arrays of the file."""
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of the file that mean something."""
     content = read_bytes(path)
     if not content.startswith(b"PK"):
         raise MotionFormatError(
             f"{path} is no NPZ file, which is a zip of NumPy arrays: check its name or give format="
         )
     try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except (OSError, ValueError, EOFError, KeyError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+        with zipfile.ZipFile(io.BytesIO(content)) as file:
+            found = {info.filename.removesuffix(".npy"): info for info in file.infolist()}
+            unpacked = sum(info.file_size for info in found.values())
+            if _dense(unpacked, len(content)):
+                raise MotionFormatError(
+                    f"{path} unpacks to {unpacked:,} bytes, {unpacked / len(content):.0f} times its size: "
+                    "save it again with numpy.savez, which does not pack"
+                )
+            raw = {name: _member(file, info) for name, info in found.items() if name in KINDS}
+    except MotionFormatError:
+        raise
+    except (OSError, ValueError, EOFError, RuntimeError, struct.error, zipfile.BadZipFile, zlib.error) as error:
         raise MotionFormatError(f"{path} is damaged or holds more than plain arrays: save it again") from error
+    return {name: _array(path, name, each) for name, each in raw.items()}
+
+
+def _dense(unpacked: int, size: int) -> bool:
+    """Whether a file of a size unpacks to more bytes than are read."""
+    return unpacked > max(SMALL, PACKED * size)
+
+
+def _member(file: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
+    """Bytes of a file in a zip, no more than the zip announces."""
+    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise ValueError("NumPy packs in no other way")
+    with file.open(info) as packed:
+        return packed.read(info.file_size)
+
+
+def _array(path: Path, name: str, content: bytes) -> np.ndarray:
+    """An array of the file, of a kind that its name can have."""
+    try:
+        array = array_of(content)
+    except ValueError as error:
+        raise MotionFormatError(f"{path} is damaged or holds more than plain arrays, in {name!r}: {error}") from error
+    if array.dtype.kind not in KINDS[name]:
+        raise MotionFormatError(f"{path} holds {name} of type {array.dtype}: save it again, with its own type")
+    if array.dtype.kind == "f" and name in WHOLE and not (np.isfinite(array) & (array == np.trunc(array))).all():
+        raise MotionFormatError(f"{path} holds {name} that are no whole numbers: store indices of joints")
+    return array
 
 
 def _own_skeleton(arrays: Mapping[str, np.ndarray], names: list[str]) -> Skeleton | None:

@@ -22,7 +22,9 @@ Source: OpenSim documentation, "Marker (.trc) files".
 from __future__ import annotations
 
 import io
+import itertools
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NoReturn
@@ -32,12 +34,15 @@ import numpy as np
 from motionrecover.io.bones import skeleton_for
 from motionrecover.io.border import (
     Asked,
+    Lines,
     assume,
     counted,
     finite,
     from_metres,
     motion_from,
+    plain,
     read_lines,
+    refuse_swollen,
     shown,
     source_of,
     unit_spelled,
@@ -91,21 +96,23 @@ def read(path: Path, asked: Asked) -> Motion:
         history.append(assume(f"{path.name} states Units {shown(stated)}: assumed mm, override with unit= (--unit)"))
     if asked.up is None:
         history.append(assume(f"{path.name} states no up axis: assumed y, override with up= (--up)"))
-    motion = motion_from(positions[:, order], skeleton, fps=fps, unit=unit, up=asked.up or "y", history=tuple(history))
-    return replace(motion, source=Source("trc", "\n".join(lines).encode(), range(frames)))
+    motion = motion_from(
+        positions, skeleton, fps=fps, unit=unit, up=asked.up or "y", history=tuple(history), order=order
+    )
+    return replace(motion, source=Source("trc", lines.content, range(frames)))
 
 
 def write(motion: Motion, path: Path) -> None:
-    """Write a motion as TRC, ten digits a number. Raises `MotionFormatError` for names that hold tabs or nothing."""
+    """Write a motion as TRC, ten digits a number. Raises `MotionFormatError` for names that no line can hold."""
     for name in motion.names:
-        if not name.strip() or re.search(r"[\t\r\n]", name):
-            raise MotionFormatError(f"received joint name {name!r}: TRC takes names without tabs and line ends")
+        if not plain(name):
+            raise MotionFormatError(f"received joint name {name!r}: TRC takes printable names without spaces around")
     source, count, markers = source_of(motion, "trc"), len(motion), len(motion.names)
     rate = f"{motion.fps:.10g}"
     facts = dict(zip(FACTS, (rate, rate, "", "", "mm", rate, "1", str(count)), strict=True))
     unit, up, clock = UNITS["mm"], "y", np.stack([np.arange(count) + 1, np.arange(count) / motion.fps], -1)
     if source is not None:
-        own = _table(path, source.content.decode().split("\n"))
+        own = _table(path, Lines(source.content))
         facts |= own.facts
         unit, up, clock = motion.unit, motion.up, own.cells[source.kept.start : source.kept.stop, :2]
     facts |= {"NumFrames": str(count), "NumMarkers": str(markers)}
@@ -124,56 +131,66 @@ def write(motion: Motion, path: Path) -> None:
         file.write("\r\n".join(head) + "\r\n" + rows.getvalue().replace("nan", "").replace("\n", "\r\n"))
 
 
-def _table(path: Path, lines: list[str]) -> _Table:
+def _table(path: Path, lines: Lines) -> _Table:
     """Header and cells of a TRC file."""
 
     def fail(line: int, what: str) -> NoReturn:
         raise MotionFormatError(f"{path}, line {line}: {what}")
 
-    if not lines[0].strip().startswith("PathFileType"):
-        fail(1, f"received {shown(lines[0])}, where a TRC file says PathFileType")
+    head = list(itertools.islice(lines, 5))
+    if not head[0].strip().startswith("PathFileType"):
+        fail(1, f"received {shown(head[0])}, where a TRC file says PathFileType")
     if len(lines) < 6:
         fail(len(lines), "the file ends inside its header, get the whole file")
-    mark = next((mark for mark in "\t,;" if mark in lines[1]), "\t")
-    heads = [[cell.strip() for cell in line.split(mark)] for line in lines[1:5]]
+    mark = next((mark for mark in "\t,;" if mark in head[1]), "\t")
+    heads = [[cell.strip() for cell in line.split(mark)] for line in head[1:]]
     facts = {key: value for key, value in zip(heads[0], heads[1], strict=False) if key in FACTS}
     names, axes = [cell for cell in heads[2] if cell][2:], [cell for cell in heads[3] if cell]
     if heads[2][0] != "Frame#" or not names:
-        fail(4, f"received {shown(lines[3])}, where a TRC file says Frame#, Time and the names of the markers")
+        fail(4, f"received {shown(head[3])}, where a TRC file says Frame#, Time and the names of the markers")
     if len(axes) != 3 * len(names):
         fail(5, f"received {counted(len(axes), 'coordinate')} under {counted(len(names), 'marker')}, name each once")
 
-    rows = [(number, line) for number, line in enumerate(lines[5:], 6) if line.strip(mark + " ")]
-    if not rows:
+    def rows() -> Iterator[tuple[int, str]]:
+        return ((number, line) for number, line in enumerate(lines, 1) if number > 5 and line.strip(mark + " "))
+
+    def whole() -> Iterator[str]:
+        for number, line in rows():
+            filled = line.rstrip(mark + " ")
+            cells = filled.count(mark) + 1
+            # What lacks at the end was left away by the program that wrote the file, unless a marker is cut in two.
+            if cells > width or (cells % 3 != 2 and line.count(mark) + 1 < width):
+                fail(
+                    number,
+                    f"received {counted(cells, 'cell')} for frame, time and {counted(len(names), 'marker')}, the row "
+                    "was cut off or has a stray separator",
+                )
+            filled += mark * (width - cells)
+            yield blank.sub("nan", filled.replace(",", ".") if commas else filled)
+
+    width, blank = 2 + 3 * len(names), re.compile(rf"(?:^|(?<={mark})) *(?={mark}|$)")
+    count = sum(1 for _ in rows())
+    if not count:
         fail(len(lines), "the file ends before the first frame, get the whole file")
-    width, whole = 2 + 3 * len(names), []
-    for number, line in rows:
-        filled = line.rstrip(mark + " ")
-        cells = filled.count(mark) + 1
-        # What lacks at the end was left away by the program that wrote the file, unless a marker is cut in two.
-        if cells > width or (cells % 3 != 2 and line.count(mark) + 1 < width):
-            fail(
-                number,
-                f"received {counted(cells, 'cell')} for frame, time and {counted(len(names), 'marker')}, the row was "
-                "cut off or has a stray separator",
-            )
-        whole.append(filled + mark * (width - cells))
-    text = "\n".join(whole)
-    if mark != "," and "." not in text:
-        text, facts = text.replace(",", "."), {key: value.replace(",", ".") for key, value in facts.items()}
-    text = re.sub(rf"(?:^|(?<={mark})) *(?={mark}|$)", "nan", text, flags=re.MULTILINE)
+    refuse_swollen(path, len(lines.content), count, len(names))
+    commas = mark != "," and not any("." in line for _, line in rows())
+    if commas:
+        facts = {key: value.replace(",", ".") for key, value in facts.items()}
     try:
-        cells = np.loadtxt(text.split("\n"), delimiter=mark, comments=None, ndmin=2)
+        cells = np.loadtxt(whole(), delimiter=mark, comments=None, ndmin=2)
+    except MotionFormatError:
+        raise
     except ValueError:
-        for (number, _), line in zip(rows, text.split("\n"), strict=True):
+        for (number, _), line in zip(rows(), whole(), strict=True):
             for cell in line.split(mark):
                 if cell.strip().lower() not in ("nan", "-nan") and finite(cell) is None:
                     fail(number, f"received {shown(cell)}, write a finite number, or nothing where it is missing")
-        fail(rows[0][0], "the rows are not plain numbers, export the file again")
+        fail(6, "the rows are not plain numbers, export the file again")
     expected = cells[0, 0] + np.arange(len(cells))
     for row in np.flatnonzero(cells[:, 0] != expected)[:1]:
+        number, _ = next(itertools.islice(rows(), int(row), None))
         fail(
-            rows[row][0],
+            number,
             f"received frame {cells[row, 0]:.10g} where {expected[row]:.10g} is due, give every frame a row, with "
             "blank cells where nothing was measured",
         )
