@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from motionrecover.motion import Motion
     from motionrecover.presets import PRESETS, Preset
     from motionrecover.recovery import Recovery, RecoveryError, recover
+    from motionrecover.refine import Refinement, Refiner, load_refiner
     from motionrecover.skeleton import Skeleton
     from motionrecover.solver import Result
     from motionrecover.synthetic import synthesize
@@ -35,12 +36,15 @@ __all__ = [
     "Preset",
     "Recovery",
     "RecoveryError",
+    "Refinement",
+    "Refiner",
     "Result",
     "Skeleton",
     "corrupt",
     "from_xarray",
     "infer_graph",
     "load",
+    "load_refiner",
     "metrics",
     "recover",
     "recover_many",
@@ -57,6 +61,7 @@ _HOMES = {
     "motion": ("Motion",),
     "presets": ("PRESETS", "Preset"),
     "recovery": ("Recovery", "RecoveryError", "recover"),
+    "refine": ("Refinement", "Refiner", "load_refiner"),
     "skeleton": ("Skeleton",),
     "solver": ("Result",),
     "synthetic": ("synthesize",),

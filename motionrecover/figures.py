@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from pathlib import Path
 
 import numpy as np
@@ -138,6 +139,41 @@ def _damage(corrupted: Motion, reference: Motion) -> np.ndarray:
     """How badly each sample (frame, joint) is corrupted, in metres: its error, at most 0.25; 0.25 where missing."""
     error = np.linalg.norm(corrupted.positions - reference.positions, axis=-1)
     return np.where(corrupted.observed, np.minimum(np.nan_to_num(error), 0.25), 0.25)
+
+
+def loss_figure(log: str | Path, path: str | Path) -> None:
+    """Draws the log of a training run (CSV) to `path`: losses over steps, and errors on held-out windows.
+
+    Raises `ImportError` without matplotlib.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError("a figure needs matplotlib: pip install motionrecover[figures]") from error
+    with Path(log).open(newline="", encoding="utf-8") as file:
+        lines = list(csv.DictReader(file))
+    figure = Figure(figsize=(9, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    losses, errors = figure.subplots(1, 2)
+    steps = [int(line["step"]) for line in lines]
+    for name in ("loss", "position", "bone", "smooth", "perceptual"):
+        values = [float(line[name]) for line in lines]
+        if any(values):
+            losses.plot(steps, values, label=name, linewidth=2 if name == "loss" else 1)
+    losses.set(xlabel="step", ylabel="loss", yscale="log")
+    measured = [line for line in lines if line["held_out_mm"]]
+    names = {
+        "held_out_mm": "all samples",
+        "held_out_missing_mm": "missing",
+        "mean_pose_missing_mm": "missing, mean pose",
+    }
+    for name, label in names.items():
+        errors.plot([int(line["step"]) for line in measured], [float(line[name]) for line in measured], label=label)
+    errors.set(xlabel="step", ylabel="mean error on held-out windows (mm)")
+    for axes in (losses, errors):
+        axes.legend(fontsize="small")
+    figure.savefig(Path(path), dpi=110)
 
 
 def _draw_poses(axes, clips: dict[str, Motion], reference: Motion) -> None:

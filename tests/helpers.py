@@ -29,6 +29,7 @@ TOLERANCE = {
     "weak direction": 5e-4,  # metres: positions that hardly show a turn are traded for keeping it
     "written digits": 5e-6,  # metres: BVH with six decimals, which add up along a chain
     "other programs": 2e-5,  # metres: BVH in Blender, which computes in float32
+    "network": 1e-5,  # of numbers about 1, a network in float32 against its definition
     "reference": 1e-7,  # metres, against the NumPy/SciPy reference after the same number of steps, float64
 }
 
@@ -45,6 +46,8 @@ GRAPHS = {
     "braced": Skeleton("abcdef", [(0, 1), (1, 2), (2, 3), (3, 0), (0, 2), (3, 4), (4, 5), (5, 1)]),
 }
 SKELETONS = TREES | GRAPHS
+SMALL_BODY = Skeleton(["root", "hip", "knee", "chest", "hand"], [(0, 1), (1, 2), (0, 3), (3, 4)])
+"""For networks, which take long to compile."""
 
 
 def clip(skeleton: Skeleton, frames: int, seed: int = 0) -> np.ndarray:

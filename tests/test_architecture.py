@@ -25,7 +25,7 @@ LAYERS = [
     },
     {"solver", "isometry"},
     {"evidence"},
-    {"presets", "programs", "intake", "windows", "io"},
+    {"presets", "programs", "intake", "windows", "io", "refine"},
     {"robust", "finishing"},
     {"recovery"},
     {"many"},
@@ -70,6 +70,7 @@ def test_importing_loads_nothing_and_the_names_no_array_and_nothing_heavy():
         "import jax\n"
         "assert not jax.live_arrays(), jax.live_arrays()\n"
         "heavy = {'matplotlib', 'plotly', 'rerun', 'optimistix', 'jaxopt', 'dask', 'optax', 'pybvh', 'typer', 'rich'}\n"
+        "heavy |= {'safetensors'}\n"
         "heavy |= {'cvxpy', 'xarray'}\n"
         "loaded = heavy & {name.split('.')[0] for name in sys.modules}\n"
         "sys.exit(f'importing loads {loaded}' if loaded else 0)\n"

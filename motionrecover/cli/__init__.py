@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import typer
 
 from motionrecover import __version__
-from motionrecover.cli import batch, changing, demo, looking, recovery, terminal
+from motionrecover.cli import batch, changing, demo, learned, looking, recovery, terminal
 
 _QUICKLY = "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling,xla_disable_slp_vectorizer"
 
@@ -32,6 +32,9 @@ for command in (
     looking.evaluate,
     changing.corrupt,
     changing.convert,
+    learned.models,
+    learned.train,
+    learned.refine,
 ):
     app.command()(command)
 

@@ -90,12 +90,12 @@ def fitted(standard: str, names: Sequence[str]) -> Skeleton | None:
     `body_` (FreeMoCap's CSV).
     """
     skeleton = Skeleton.standard(standard)
-    theirs = {_plain(name): name for name in names}
-    ours = {_plain(name): name for name in skeleton.names}
+    theirs = {plain_name(name): name for name in names}
+    ours = {plain_name(name): name for name in skeleton.names}
     if len(theirs) < len(names) or not theirs.keys() <= ours.keys():
         return None
     part = skeleton.select([ours[plain] for plain in ours if plain in theirs])
-    return Skeleton([theirs[_plain(name)] for name in part.names], part.edges)
+    return Skeleton([theirs[plain_name(name)] for name in part.names], part.edges)
 
 
 def named(skeleton: Skeleton | str | Path) -> Skeleton:
@@ -112,7 +112,7 @@ def named(skeleton: Skeleton | str | Path) -> Skeleton:
     return Skeleton.from_file(skeleton)
 
 
-def _plain(name: str) -> str:
+def plain_name(name: str) -> str:
     """What of a joint's name tells it from the others of its rig."""
     return re.sub(r"^mixamorig\d*|^body_|[\s_.-]", "", name.rpartition(":")[2].lower())
 
