@@ -57,6 +57,9 @@ def posed(motion: Motion) -> Motion:
     Warns (`MotionFormatWarning`) of unknown positions, which BVH cannot leave out, and where the positions are off by
     more than `MEAN` or `LARGEST`. Raises `MotionFormatError` where `rig_of` does.
     """
+    # A sample without one coordinate is not known.
+    known = np.isfinite(motion.positions).all(-1, keepdims=True)
+    motion = replace(motion, positions=np.where(known, motion.positions, np.nan))
     rig = rig_of(motion)
     column = [rig.names.index(name) for name in motion.names]
     wanted = np.full((len(motion), len(rig.names), 3), np.nan)

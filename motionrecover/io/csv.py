@@ -59,6 +59,8 @@ _T = TypeVar("_T")
 
 _EXTRA = ("confidence", "observed")
 _PARTS = ("x", "y", "z", *_EXTRA)
+_LONG = {"joint", "x", "y", "z"}
+"""Columns that only a long table has."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +123,7 @@ def read(path: Path, asked: Asked) -> Motion:
     Raises `MotionFormatError` for a table that is not whole, not described, or not numeric.
     """
     table = _table(path)
-    samples = _long(table) if {"joint", "x", "y", "z"} <= {c.lower() for c in table.columns} else _wide(table)
+    samples = _long(table) if _LONG.intersection(map(str.lower, table.columns)) == _LONG else _wide(table)
     unit, fps, up = asked.unit, asked.fps, asked.up
     unit = unit if unit is not None else _stated(table, "unit", metres_in)
     fps = fps if fps is not None else _stated(table, "fps", frame_rate)
@@ -173,12 +175,14 @@ def _table(path: Path) -> _Table:
     if header is None:
         raise MotionFormatError(f"{path} holds no header: get the whole file")
     delimiter = next((mark for mark in ",;\t" if mark in header), ",")
-    first = [cell.strip() for cell in header.split(delimiter)]
-    named = len(first) % 3 != 0 or any(finite(cell or "0") is None for cell in first)
-    if next(filled, None) is None:
+    cells = header.count(delimiter) + 1
+    named = cells % 3 != 0 or any(finite(cell.strip() or "0") is None for cell in header.split(delimiter))
+    rows = sum(1 for _ in filled)
+    if not rows:
         raise MotionFormatError(f"{path} holds no rows: get the whole file")
+    refuse_swollen(path, len(lines.content), rows, cells // 3)
     if not named:
-        columns = [f"marker{marker + 1}_{axis}" for marker in range(len(first) // 3) for axis in "xyz"]
+        columns = [f"marker{marker + 1}_{axis}" for marker in range(cells // 3) for axis in "xyz"]
         return _Table(path, lines, comments, NO_HEADER, columns, delimiter, number)
     try:
         (columns,) = csv.reader([header], delimiter=delimiter, skipinitialspace=True, strict=True)
@@ -276,9 +280,7 @@ def _long(table: _Table) -> _Samples:
 
 def _values(table: _Table, columns: Sequence[int], label: int | None = None) -> tuple[np.ndarray, list[str]]:
     """Cells (row, column) as float64, NaN where empty, and the texts of the column `label`, row after row."""
-    rows, labels = sum(1 for _ in table.filled()), []
-    refuse_swollen(table.path, len(table.lines.content), rows, len(columns) // 3)
-    values = np.empty((rows, len(columns)))
+    values, labels = np.empty((sum(1 for _ in table.filled()), len(columns))), []
     for k, row in enumerate(table.rows()):
         try:
             values[k] = [float(row[c].strip() or "nan") for c in columns]
