@@ -367,6 +367,7 @@ def holder(**changes):
         (holder(host="far-away"), 1e4, None),
         ("", 1e4, None),
     ],
+    ids=["here", "elsewhere", "empty", "nameless", "ended", "silent elsewhere", "silent"],
 )
 def test_a_lock_names_its_batch_and_goes_stale(tmp_path, refused, content, age, words):
     path = tmp_path / "batch.lock"

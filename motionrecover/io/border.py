@@ -22,6 +22,9 @@ SMALLEST, LARGEST = 1e-9, 1e9
 """Metres in one unit."""
 MOST = 1e30
 """A number in a text; larger ones overflow on the way to positions."""
+LONGEST_NAME = 1000
+PLAIN = f"printable names of up to {LONGEST_NAME} characters without spaces around them"
+"""Which names a line of text takes."""
 SWOLLEN, SMALL, JOINT = 6, 100_000, 200
 """Positions may take so many times the bytes of their file, or of a small one, and each joint so many more bytes: with
 what leads to them, loading takes up to 20 times the file."""
@@ -92,8 +95,8 @@ def shown(text: str) -> str:
 
 
 def plain(name: str) -> bool:
-    """Whether a line of text can hold `name` among others: it is printable, without spaces around it."""
-    return bool(name) and name == name.strip() and name.isprintable()
+    """Whether a line of text can hold `name` among others, as `PLAIN` says."""
+    return 0 < len(name) <= LONGEST_NAME and name == name.strip() and name.isprintable()
 
 
 def counted(number: int, noun: str) -> str:

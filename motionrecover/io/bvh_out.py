@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from motionrecover.intake import fill
-from motionrecover.io.border import counted, from_metres, plain, to_metres
+from motionrecover.io.border import PLAIN, counted, from_metres, plain, to_metres
 from motionrecover.io.errors import MotionFormatError, MotionFormatWarning
 from motionrecover.io.inverse_kinematics import Freedom, Pose, solve
 from motionrecover.io.kinematics import continuous_angles, euler_rotations, forward
@@ -40,7 +40,7 @@ def write(motion: Motion, path: Path) -> None:
     for name in motion.names:
         if not plain(name) or "  " in name or re.search("[{}]", name):
             raise MotionFormatError(
-                f"received joint name {name!r}: BVH takes printable names without braces, spaces around and double ones"
+                f"received joint name {name!r}: BVH takes {PLAIN}, without braces and double spaces"
             )
     rig = posed(motion).rig
     assert rig is not None

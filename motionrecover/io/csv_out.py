@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from motionrecover.io.border import parents_of, plain
+from motionrecover.io.border import PLAIN, parents_of, plain
 from motionrecover.motion import Motion
 
 
@@ -42,7 +42,7 @@ def _written_parts(motion: Motion) -> list[tuple[str, np.ndarray, str]]:
     """(name, values (frame, joint), number format) of the columns that a motion needs."""
     for name in motion.names:
         if not plain(name):
-            raise ValueError(f"received joint name {name!r}: CSV takes printable names without spaces around them")
+            raise ValueError(f"received joint name {name!r}: CSV takes {PLAIN}")
     # 9 significant digits restore every float32, 17 every float64.
     form = ".9g" if motion.positions.dtype.itemsize <= 4 else ".17g"
     parts = [(axis, motion.positions[..., i], form) for i, axis in enumerate("xyz")]

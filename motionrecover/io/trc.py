@@ -33,6 +33,7 @@ import numpy as np
 
 from motionrecover.io.bones import skeleton_for
 from motionrecover.io.border import (
+    PLAIN,
     Asked,
     Lines,
     assume,
@@ -106,9 +107,7 @@ def write(motion: Motion, path: Path) -> None:
     """Write a motion as TRC, ten digits a number. Raises `MotionFormatError` for names that no line can hold."""
     for name in motion.names:
         if not plain(name):
-            raise MotionFormatError(
-                f"received joint name {name!r}: TRC takes printable names without tabs, or spaces around them"
-            )
+            raise MotionFormatError(f"received joint name {name!r}: TRC takes {PLAIN}")
     source, count, markers = source_of(motion, "trc"), len(motion), len(motion.names)
     rate = f"{motion.fps:.10g}"
     facts = dict(zip(FACTS, (rate, rate, "", "", "mm", rate, "1", str(count)), strict=True))
