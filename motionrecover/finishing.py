@@ -8,8 +8,15 @@ import jax
 import numpy as np
 
 from motionrecover.evidence.contacts import find_contacts, foot_joints, plant
+from motionrecover.evidence.pose_prior import Poses, mean_from_poses, median_distances, present, proportioned
+from motionrecover.evidence.regression import ALIKE, bone_distance
 from motionrecover.robust import FREE, project_blocks
 from motionrecover.skeleton import Skeleton
+
+NEAR, REACH = 0.8, 3.0
+"""Bones over which a joint's weight falls by e, in the fit of the frame and in the input, for joints never seen."""
+NOISE = 0.01
+"""Of the regression on poses."""
 
 
 def fill_unseen(positions: np.ndarray, edges: Any, bone_lengths: np.ndarray) -> np.ndarray:
@@ -40,6 +47,56 @@ def fill_unseen(positions: np.ndarray, edges: Any, bone_lengths: np.ndarray) -> 
                 along = out[:, k] - out[:, before[0]]
                 out[:, joint] = out[:, k] + l * along / np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
     return out
+
+
+def place_by_poses(
+    positions: np.ndarray, poses: Poses, edges: Any, bone_lengths: np.ndarray, stored: int, seconds: dict[str, float]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Positions (frame, joint, 3) with joints that are NaN throughout placed as in poses of other people.
+
+    Each is predicted from the joints that the clip shows (`evidence.pose_prior`), then all are moved onto the lengths
+    of their bones (bone,), or those that fit the body's others where they are NaN, as far as either is certain. A frame
+    in which one of the others is unknown stays as it is. With the variance (frame, joint) of the error of one axis,
+    infinite where nothing was placed. `stored` frames at a time go through the program; its times are added to
+    `seconds`.
+    """
+    out, variance = positions.copy(), np.full(positions.shape[:2], np.inf)
+    here = present(poses.positions)
+    unseen = np.isnan(positions[..., 0]).all(0)
+    wanted, others = np.flatnonzero(here & unseen), np.flatnonzero(here & ~unseen)
+    frames = np.flatnonzero(np.isfinite(positions[:, others]).all((1, 2)))
+    if not len(wanted) or len(others) < ALIKE or not len(frames):
+        return out, variance
+    distances = median_distances(positions)
+    for (i, j), length in zip(edges, bone_lengths, strict=True):
+        if np.isfinite(length) and length > 0:
+            distances[i, j] = distances[j, i] = length
+    body = proportioned(poses, distances)
+    away = bone_distance(body.tree, positions.shape[1])
+    for joint in wanted:
+        far = away[joint, others] - away[joint, others].min()
+        out[frames, joint], found = mean_from_poses(
+            body.positions[:, joint],
+            body.positions[:, others],
+            positions[np.ix_(frames, others)],
+            np.exp(-far / NEAR),
+            np.exp(-far / REACH),
+            np.ones((len(frames), len(others))),
+            NOISE,
+            body.bodies,
+        )
+        variance[frames, joint] = found
+    free = np.zeros((len(frames), positions.shape[1]))
+    free[:, wanted] = variance[np.ix_(frames, wanted)]
+    covariance = free[:, :, None] * np.eye(positions.shape[1])
+    complete = np.where(np.isfinite(out[frames]), out[frames], 0)
+    with jax.enable_x64(True):
+        moved, left = project_blocks(complete, covariance, body.lengths, body.deviations**2, body.tree, stored, seconds)
+    # A guessed length is in the prediction too: it is off with it, whatever the projection gains.
+    for bone, deviation in zip(body.tree, body.deviations, strict=True):
+        left[:, list(bone)] += deviation**2 / 3
+    out[np.ix_(frames, wanted)], variance[np.ix_(frames, wanted)] = moved[:, wanted], left[:, wanted]
+    return out, variance
 
 
 def _on_the_circle(positions, i, l_i, j, l_j):

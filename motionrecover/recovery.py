@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from motionrecover import finishing, intake, robust, windows
+from motionrecover import finishing, intake, poses, robust, windows
 from motionrecover.evidence.bone_lengths import mirrored_bones
 from motionrecover.evidence.swaps import Swap, find_swaps, undo
 from motionrecover.presets import Preset, Robust, find
@@ -115,8 +115,9 @@ def recover(
     first window, when all input is checked, and after each; what it raises ends the recovery.
 
     Of `robust` only: `max_gap`: gaps of more frames than this stay NaN; left out, a gap is filled however long, and
-    `uncertainty` says how far to trust it. `fill_unseen`: joints that no frame shows are placed by their bones instead
-    of staying NaN. `plant_feet`: feet stay in place while they stand on the ground (y up, `fps` needed): it takes foot
+    `uncertainty` says how far to trust it. `fill_unseen`: joints that no frame shows are placed instead of staying NaN,
+    as in poses of other people where the names of the joints are known, else by their bones alone, with infinite
+    uncertainty. `plant_feet`: feet stay in place while they stand on the ground (y up, `fps` needed): it takes foot
     slide away, and moves feet by some millimetres. `symmetric`: estimated lengths of left and right bones are drawn
     together as far as their intervals allow.
 
@@ -201,7 +202,10 @@ def _robust(
     pairs = [(merged.get(a), merged.get(b)) for a, b in mirrored_bones(skeleton)] if paired else []
     pairs = [(a, b) for a, b in pairs if a is not None and b is not None]
     seconds = {"compile": 0.0, "run": 0.0}
-    restored = robust.restore(clip, preset, bone_lengths is not None, pairs, steps, seconds, progress)
+    people = poses.poses_of(skeleton.names)
+    # Of joints that coincide the first that is recognised stands for all.
+    stand_in = None if people is None else people.of(kept).merged(clip.groups)
+    restored = robust.restore(clip, preset, bone_lengths is not None, pairs, stand_in, steps, seconds, progress)
     verdict = robust.verdict(restored)
 
     positions, variance, intact = (
@@ -229,6 +233,11 @@ def _robust(
     if fill_unseen:
         rest = skeleton.rest_lengths
         known = lengths if rest is None else np.where(np.isfinite(lengths), lengths, rest)
+        stored = bucket(len(data), preset.window)
+        if people is not None:
+            placed = finishing.place_by_poses(positions, people, skeleton.edges, known, stored, seconds)
+            variance = np.where(np.isfinite(placed[1]), placed[1], variance)
+            positions = placed[0]
         positions = finishing.fill_unseen(positions, skeleton.edges, known)
     if plant_feet:
         stored = bucket(len(data), preset.window)

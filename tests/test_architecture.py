@@ -25,7 +25,7 @@ LAYERS = [
     },
     {"solver", "isometry"},
     {"evidence"},
-    {"presets", "programs", "intake", "windows", "io", "refine"},
+    {"presets", "programs", "intake", "windows", "io", "refine", "poses"},
     {"robust", "finishing"},
     {"recovery"},
     {"many"},

@@ -96,7 +96,11 @@ def test_a_joint_never_seen_spoils_nothing_and_is_placed_when_asked():
     np.testing.assert_array_equal(np.delete(found.positions, 3, 1), np.delete(TRUTH, 3, 1))
     placed = recover(data, SKELETON, bone_lengths=LENGTHS, fill_unseen=True, dtype=np.float64)
     np.testing.assert_allclose(SKELETON.bone_lengths_of(placed.positions), np.tile(LENGTHS, (FRAMES, 1)), atol=1e-3)
-    assert np.isinf(placed.uncertainty[:, 3]).all()
+    assert np.isfinite(placed.uncertainty[:, 3]).all()
+    unnamed = Skeleton([f"joint {k}" for k in range(25)], SKELETON.edges)
+    by_bones = recover(data, unnamed, bone_lengths=LENGTHS, fill_unseen=True, dtype=np.float64)
+    np.testing.assert_allclose(SKELETON.bone_lengths_of(by_bones.positions), np.tile(LENGTHS, (FRAMES, 1)), atol=1e-3)
+    assert np.isinf(by_bones.uncertainty[:, 3]).all()
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 6, 10])

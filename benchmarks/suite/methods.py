@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks.people import left_out
 from benchmarks.suite import peers_lowrank, peers_rigid, peers_time
 from benchmarks.suite.clips import Clip
 from motionrecover.presets import PRESETS
@@ -25,7 +26,8 @@ class Method:
 
 def _preset(name: str) -> Method:
     def run(data: np.ndarray, clip: Clip, lengths: np.ndarray | None) -> np.ndarray:
-        return recover(data, clip.skeleton, preset=name, bone_lengths=lengths, fps=clip.fps).positions
+        with left_out(clip.name):
+            return recover(data, clip.skeleton, preset=name, bone_lengths=lengths, fps=clip.fps).positions
 
     return Method(name, run, ours=True)
 

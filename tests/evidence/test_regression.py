@@ -6,7 +6,8 @@ from helpers import TOLERANCE
 
 from motionrecover import Skeleton, corrupt, synthesize
 from motionrecover.evidence import regression
-from motionrecover.evidence.regression import LEAST, bone_distance, leave_out, predict_missing
+from motionrecover.evidence.pose_prior import leave_out
+from motionrecover.evidence.regression import LEAST, bone_distance, predict_missing
 
 MOTION = synthesize(2.5, 120, seed=3)
 CLEAN, SKELETON = MOTION.positions, MOTION.skeleton
