@@ -75,7 +75,7 @@ def cases(folder: Path, frames: int = 5) -> dict[str, list[Case]]:
 
 
 def _graph_npz(motion: Motion) -> Case:
-    """An NPZ file without rate, in centimetres with z up, on a graph that is no tree, with an array of objects."""
+    """An NPZ file without rate, in centimetres with z up, on a graph that is no tree."""
     packed = io.BytesIO()
     np.savez(
         packed,
