@@ -28,21 +28,18 @@ bone's length over its mean. Jitter: second differences of joints that barely mo
 from tracked samples that were hidden, scattered and in runs of 15 frames. At scattered ones a spline is better: it
 follows the sensor's drift, which constant bones do not."""
 
-POSES = """The package ships poses of 10 people (`poses.npz`), from all CMU recordings at hand. Every measurement of this
-section leaves the clip's own person out of them; the sections above are from before there were any. `uncertainty` knows
-how much people of this database differ: for motions unlike its walks, dances and sports it promises too much. A joint
-hidden in the whole clip, each in turn; straight limbs are given the true bone lengths, the poses guess them ({clips}
-clips, {seeds} seed):"""
+POSES = """The package ships poses of 10 people (`poses.npz`), from all CMU recordings at hand. Measurements of this section
+leave the clip's own person out of them; the sections above are from before there were any. `uncertainty` knows how much
+people of this database differ: for motions unlike its walks, dances and sports it promises too much. A joint hidden in
+the whole clip, each in turn; straight limbs are given the true bone lengths, poses guess them ({clips} clips, {seeds}
+seed):"""
 
 
 def render() -> str:
     """The page."""
+    studies = (STUDIES / f"{name}.json" for name in ("kinect", "markers", "robust", "pose_prior"))
     suite, kinect, markers, parts, poses = (
-        json.loads(path.read_text(encoding="utf-8"))
-        for path in (
-            HERE / "results.json",
-            *(STUDIES / f"{name}.json" for name in ("kinect", "markers", "robust", "pose_prior")),
-        )
+        json.loads(path.read_text(encoding="utf-8")) for path in (HERE / "results.json", *studies)
     )
     parts_note = (
         f"{parts['clips']} clips a row, one seed; `benchmarks/studies/robust.py` lists what was dropped altogether."
