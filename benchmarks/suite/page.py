@@ -28,8 +28,8 @@ bone's length over its mean. Jitter: second differences of joints that barely mo
 from tracked samples that were hidden, scattered and in runs of 15 frames. At scattered ones a spline is better: it
 follows the sensor's drift, which constant bones do not."""
 
-POSES = """The package ships poses of 10 people (`poses.npz`), from all CMU recordings at hand. Measurements of this section
-leave the clip's own person out of them; the sections above are from before there were any. `uncertainty` knows how much
+POSES = """The package ships poses of 10 people (`poses.npz`), from all CMU recordings at hand. Measurements here leave
+the clip's own person out of them; the sections above are from before there were any. `uncertainty` knows how much
 people of this database differ: for motions unlike its walks, dances and sports it promises too much. A joint hidden in
 the whole clip, each in turn; straight limbs are given the true bone lengths, poses guess them ({clips} clips, {seeds}
 seed):"""
