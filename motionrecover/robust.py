@@ -31,6 +31,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from motionrecover import windows
+from motionrecover.evidence import regression
 from motionrecover.evidence.bone_errors import drift, slack, smoothed_lengths
 from motionrecover.evidence.bone_lengths import (
     BoneLengths,
@@ -276,12 +277,13 @@ def _solve(clip, span, stored, together, bones, scale, noise_max, max_steps, sec
 
 def _with_regression(positions, variance, kept, drive, edges, poses):
     """Positions and variances with the regression's predictions averaged into longer gaps."""
-    gaps = run_lengths(~kept) >= SHORT
+    length = run_lengths(~kept)
+    gaps = length >= SHORT
     if not gaps.any():
         return positions, variance.copy()
     distance = bone_distance(edges, positions.shape[1])
     body = None
-    if poses is not None:
+    if poses is not None and length.max() >= regression.LONG:
         distances = median_distances(np.where(kept[..., None], positions, np.nan))
         body = proportioned(poses.thinned(POSES), distances).positions
     predicted, doubt = predict_missing(positions, kept, distance, gaps, body)

@@ -8,6 +8,7 @@ import jax
 import pytest
 from hypothesis import settings
 
+from motionrecover.cli import main
 from motionrecover.io import MotionFormatError
 
 jax.config.update("jax_enable_x64", True)  # float32 is asked for where it is tested
@@ -45,3 +46,14 @@ def refused() -> Callable[..., None]:
         assert not [word for word in words if word not in sentence], sentence
 
     return check
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str]]:
+    """Runs the command line and gives its exit code, stdout and stderr."""
+
+    def call(*arguments: object) -> tuple[int, str, str]:
+        code = main([str(argument) for argument in arguments])
+        return code, *capsys.readouterr()
+
+    return call

@@ -59,17 +59,6 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.fixture
-def run(capsys):
-    """Runs the command line and gives its exit code, stdout and stderr."""
-
-    def call(*arguments):
-        code = main([str(argument) for argument in arguments])
-        return code, *capsys.readouterr()
-
-    return call
-
-
-@pytest.fixture
 def refuses(run):
     """Checks that a command line ends with one line of error that holds all the words, and leaves the folder alone."""
 

@@ -68,7 +68,7 @@ def recover_clip(settings: Settings, folder: str, job: Job) -> Record:
         warnings.simplefilter("ignore", DeprecationWarning)
         try:
             record |= sources(job, settings)
-            record |= _recovered(settings, Path(folder), job)
+            record |= _recovered(settings, Path(folder), job, record["sha256"])
             record["status"] = DONE
         except Exception as error:  # one bad clip never stops the rest, not by a defect of ours either
             if getattr(error.__cause__ or error, "errno", None) in FULL:
@@ -95,14 +95,14 @@ def sources(job: Job, settings: Settings) -> Record:
     return found
 
 
-def _recovered(settings: Settings, folder: Path, job: Job) -> Record:
+def _recovered(settings: Settings, folder: Path, job: Job, digest: str) -> Record:
     """Answer and page of a clip, written, and what the record says about them."""
     as_bvh = job.format == "bvh"
     clip, kind, lengths = files.take_in(job.source, settings.bone_lengths, as_bvh=as_bvh, **settings.reading)
     masks = {"observed": clip.observed, "confidence": clip.confidence, "fps": clip.fps}
     given = {"preset": settings.preset, "bone_lengths": lengths, **settings.recovery}
     recovery = recover(clip.positions, clip.skeleton, **masks, **given)
-    answer = files.answer(clip, recovery, settings.preset, files.sha256(job.source))
+    answer = files.answer(clip, recovery, settings.preset, digest)
     written = posed(answer) if as_bvh else answer
     path, page = folder / job.name, folder / job.report
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -7,18 +7,6 @@ import pytest
 from helpers import SMALL_BODY, clip
 
 from motionrecover import Motion, load, save, save_skeleton
-from motionrecover.cli import main
-
-
-@pytest.fixture
-def run(capsys):
-    """Runs the command line and gives its exit code, stdout and stderr."""
-
-    def call(*arguments):
-        code = main([str(argument) for argument in arguments])
-        return code, *capsys.readouterr()
-
-    return call
 
 
 def test_models_are_listed_with_their_exact_sizes(run):
