@@ -8,6 +8,7 @@ import jax
 import pytest
 from hypothesis import settings
 
+from motionrecover import programs
 from motionrecover.cli import main
 from motionrecover.io import MotionFormatError
 
@@ -21,6 +22,12 @@ settings.load_profile("motionrecover")
 def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> None:
     """The command keeps compiled programs for the tests alone."""
     os.environ["XDG_CACHE_HOME"] = str(tmp_path_factory.mktemp("cache"))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_notes_on_compiling() -> None:
+    """They would come and go with the load of the machine."""
+    programs.SLOW = 3600
 
 
 @pytest.fixture(scope="session")

@@ -17,7 +17,7 @@ import jax
 import numpy as np
 import pytest
 
-from motionrecover import __version__, corrupt, load, metrics, programs, save, synthesize
+from motionrecover import __version__, corrupt, load, metrics, save, synthesize
 from motionrecover.cli import main, terminal
 from motionrecover.motion import Motion
 from motionrecover.recovery import RecoveryError
@@ -50,7 +50,6 @@ HIP_KNEE = STATED + "# parents: -1, 0\nhip_x,hip_y,hip_z,knee_x,knee_y,knee_z\n"
 def folder(tmp_path, monkeypatch):
     """A working folder with truth.npz and corrupted.csv."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(programs, "SLOW", 3600)  # notes on compiling would come and go with the load of the machine
     save(TRUTH, "truth.npz")
     positions, _ = corrupt.apply("iid-20", TRUTH.positions, 1)
     positions[5:9, 3] = np.nan

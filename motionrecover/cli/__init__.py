@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import sys
-import warnings
 from collections.abc import Sequence
 from typing import Annotated, Any
 
@@ -65,8 +64,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         # A process for one clip compiles longer than it computes: what these leave out saves a third of the compiling.
         os.environ.setdefault("XLA_FLAGS", _QUICKLY)
-    with warnings.catch_warnings():
-        terminal.show_warnings_as_notes()
+    with terminal.notes():
         try:
             code = app(None if argv is None else list(argv), prog_name="motionrecover", standalone_mode=False) or 0
             sys.stdout.flush()

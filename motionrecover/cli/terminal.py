@@ -15,8 +15,21 @@ from typing import Any, TypeVar
 _T = TypeVar("_T")
 
 
-def show_warnings_as_notes() -> None:
-    """Print each warning once, as a line `note: ...` on stderr, until `warnings.catch_warnings` ends."""
+@contextmanager
+def notes() -> Iterator[None]:
+    """Print each warning once, and what the package logs if asked by `show_log`, as lines `note: ...` on stderr."""
+    log = logging.getLogger("motionrecover")
+    handlers, level = log.handlers, log.level
+    with warnings.catch_warnings():
+        _show_warnings()
+        try:
+            yield
+        finally:
+            log.handlers = handlers
+            log.setLevel(level)
+
+
+def _show_warnings() -> None:
     said = set()
 
     def show(message, category, filename, lineno, file=None, line=None):
