@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 
 from benchmarks.markdown import table
-from benchmarks.speed.rows import ROOT
+from benchmarks.speed.rows import KEPT, ROOT
 from motionrecover.io.atomic import write_beside
 
 RESULTS = Path(__file__).parent / "results.json"
@@ -36,8 +36,9 @@ LIMIT = """An iteration must read or write {arrays:.1f} arrays of the size of D,
 must have seen all of H before any of A (`benchmarks/speed/limit.py` counts them). At the bandwidth at which this core
 copies blocks of the size of the eight arrays that an iteration keeps, that is the limit: where the filters, the
 products and the elimination cost nothing and everything made on the way stays in the cache."""
-OTHERS = """40 iterations on long clips, one core; peak memory of `recover` above that of its imports. Compiling
-takes about 100 MB of it, whatever the length."""
+OTHERS = """40 iterations on long clips, one core: of the clip as a whole, and in windows of 100 frames, as users of
+`str_yang2020` have them. Peak memory is that of `recover` above its imports; compiling takes about 100 MB of it,
+whatever the length."""
 
 
 def render(results: dict) -> str:
@@ -111,18 +112,19 @@ def _limit(found: list[dict]) -> str:
 
 def _long(rows: dict) -> str:
     long = rows["long"]
-    sizes = [row for name, row in rows.items() if name.startswith("memory-")]
+    ways = "whole", "windows"
     lines = [
-        [f"{frames} frames", f"{1e6 * seconds:.0f} us a frame"]
-        for frames, seconds in zip(long["frames"], long["seconds_a_frame"], strict=True)
+        [f"{frames} frames", *(f"{1e6 * long[way]['seconds_a_frame'][k]:.0f} us a frame" for way in ways)]
+        for k, frames in enumerate(long["frames"])
     ]
-    lines.append(["ratio", f"**{long['ratio']:.2f}**"])
-    sizes.sort(key=lambda row: row["frames"])
-    grown = [row["arrays"] * row["frames"] for row in sizes[-2:]]
-    growth = (grown[1] - grown[0]) / (sizes[-1]["frames"] - sizes[-2]["frames"])
-    lines += [[f"memory, {row['frames']} frames", f"{row['arrays']:.0f} arrays of the size of D"] for row in sizes]
-    lines.append(["memory, each further frame", f"**{growth:.0f}** times the frame in D"])
-    return table(["", ""], lines)
+    lines.append(["ratio", *(f"**{long[way]['ratio']:.2f}**" for way in ways)])
+    kept = {"whole": "memory-", "windows": "memory-windows-"}
+    arrays = {way: [rows[f"{prefix}{frames}"]["arrays"] for frames in KEPT] for way, prefix in kept.items()}
+    for k, frames in enumerate(KEPT):
+        lines.append([f"memory, {frames} frames", *(f"{arrays[way][k]:.0f} times D" for way in ways)])
+    grown = {way: (KEPT[-1] * arrays[way][-1] - KEPT[-2] * arrays[way][-2]) / (KEPT[-1] - KEPT[-2]) for way in ways}
+    lines.append(["memory, each further frame", *(f"**{grown[way]:.0f}** times the frame" for way in ways)])
+    return table(["", "whole", "in windows"], lines)
 
 
 def _starting(rows: dict, found: list[dict]) -> str:

@@ -24,7 +24,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
 
 from motionrecover.evidence.local_shape import inputs, rigid_frames
 
@@ -133,6 +132,8 @@ def mean_from_poses(
     they are in the clip, with `trust` (row, other); those that the poses do not have count for nothing. `near` and
     `share` (other,): weights of the others in the fit of the frame, and in the input. `noise`: ν.
     """
+    from scipy.linalg import cho_factor, cho_solve, solve_triangular  # a fifth of a second to import
+
     here, learnt = present(poses), len(poses)
     poses, others, near, share, trust = poses[:, here], others[:, here], near[here], share[here], trust[:, here]
     weights = np.maximum(near, 1e-12) * np.concatenate([np.ones((learnt, len(near))), trust])

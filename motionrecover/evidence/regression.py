@@ -31,7 +31,6 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_triangular
 
 from motionrecover.evidence.local_shape import inputs, rigid_frames
 from motionrecover.evidence.pose_prior import leave_out, mean_from_poses, present
@@ -183,6 +182,8 @@ def _regress(
     from each of the others, less those to the nearest. `people`: the joint (pose, 3) and the others
     (pose, other, 3) in poses of other people.
     """
+    from scipy.linalg import solve_triangular  # a fifth of a second to import
+
     learnt = len(target)
     blocks, hidden = _blocks(times[:learnt], gap)
     late = np.abs(times[:, None] - times[:learnt])
