@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 from typing import Any, Literal
 
@@ -34,12 +35,19 @@ def take_in(
         raise ValueError(f"{path} holds no measured sample: there is nothing to recover from")
     if as_bvh:
         rig_of(clip)  # refuses what BVH cannot hold before the work
+    return clip, *lengths_for(clip, bone_lengths, path)
+
+
+def lengths_for(
+    clip: Motion, bone_lengths: BoneLengths, path: str | Path
+) -> tuple[Literal["estimate", "rest"], np.ndarray | None]:
+    """`rest` or `estimate`, and the lengths, of a clip that came from `path`: see `take_in`."""
     if bone_lengths == "auto":
         bone_lengths = "rest" if _keeps_rest(clip) else "estimate"
     lengths = clip.skeleton.rest_lengths if bone_lengths == "rest" else None
     if bone_lengths == "rest" and lengths is None:
         raise ValueError(f"{path} brings no rest pose to take bone lengths from: use --bone-lengths estimate")
-    return clip, bone_lengths, lengths
+    return bone_lengths, lengths
 
 
 def answer(clip: Motion, recovery: Recovery, preset: str, digest: str | None = None) -> Motion:
@@ -52,7 +60,12 @@ def answer(clip: Motion, recovery: Recovery, preset: str, digest: str | None = N
 
 
 def sha256(path: str | Path) -> str:
-    """Of a file, in hexadecimal digits."""
+    """Of a file, or of a folder's files with their names, in hexadecimal digits."""
+    if os.path.isdir(path):
+        of_all = hashlib.sha256()
+        for each in sorted(each for each in Path(path).rglob("*") if each.is_file()):
+            of_all.update(f"{each.relative_to(path).as_posix()}\0{sha256(each)}\0".encode(errors="surrogateescape"))
+        return of_all.hexdigest()
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 

@@ -24,6 +24,7 @@ TOLERANCE = {
     "equivariance": 1e-6,  # metres, float64, between runs that differ by a symmetry of the model
     "posterior": 1e-8,  # recursive smoothing against solving for all frames at once
     "padding": 1e-4,  # a clip stored in another length, of the size of the motion
+    "parts": 1e-3,  # metres, a take in parts against the whole, where all parts find the same bones
     "float32": 2e-4,  # metres, float32 against float64 after the same number of steps
     "inverse kinematics": 2e-5,  # metres a coordinate: its steps end 1e-5 from the target
     "weak direction": 5e-4,  # metres: positions that hardly show a turn are traded for keeping it

@@ -71,7 +71,7 @@ def test_importing_loads_nothing_and_the_names_no_array_and_nothing_heavy():
         "assert not jax.live_arrays(), jax.live_arrays()\n"
         "heavy = {'matplotlib', 'plotly', 'rerun', 'optimistix', 'jaxopt', 'dask', 'optax', 'pybvh', 'typer', 'rich'}\n"
         "heavy |= {'safetensors'}\n"
-        "heavy |= {'cvxpy', 'xarray'}\n"
+        "heavy |= {'cvxpy', 'distributed', 'fsspec', 'xarray', 'zarr'}\n"
         "loaded = heavy & {name.split('.')[0] for name in sys.modules}\n"
         "sys.exit(f'importing loads {loaded}' if loaded else 0)\n"
     )

@@ -203,9 +203,9 @@ def test_files_beside_a_clip_are_inputs_too(tmp_path):
     amc.write_text("")
     asf.write_text("one")
     (job,) = plan([amc], tmp_path / "out")
-    before = clip_module.sources(job, FAST)
+    before = clip_module.sources(Path(job.source), FAST)
     asf.write_text("two")
-    after = clip_module.sources(job, FAST)
+    after = clip_module.sources(Path(job.source), FAST)
     assert before["sha256"] == after["sha256"]
     assert before["beside"].keys() == after["beside"].keys() == {"body.ASF"}
     assert before["beside"] != after["beside"]

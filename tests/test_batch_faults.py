@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -108,8 +109,9 @@ def test_closing_it_and_killing_its_process_end_the_workers(tmp_path):
 # The command.
 
 
-def command(folder, out, *more, workers=2):
-    arguments = ["batch", "in", "-o", out, "--max-steps", "3", "--workers", str(workers), *more]
+def command(folder, out, *more, source="in", workers=2):
+    where = ["--workers", str(workers)] if isinstance(workers, int) else ["--scheduler", workers]
+    arguments = ["batch", source, "-o", out, "--max-steps", "3", *where, *more]
     return subprocess.Popen(
         [sys.executable, "-m", "motionrecover", *arguments],
         cwd=folder,
@@ -182,6 +184,28 @@ def test_a_batch_killed_again_and_again_ends_like_one_that_was_not(archive):
     assert answers(archive / "killed") == answers(archive / "undisturbed")
     written = [line["output"] for line in lines(archive / "killed")]
     assert len(written) == len(set(written)) == CLIPS
+
+
+@NEEDS_PROC
+def test_inputs_that_cannot_be_read_or_change_between_runs_cost_themselves_alone(archive, tmp_path):
+    shutil.copytree(archive / "in", tmp_path / "in")
+    changed, gone = tmp_path / "in/0.npz", tmp_path / "in/sub/1.npz"
+    right = changed.read_bytes()
+    changed.write_bytes((archive / "in/2.npz").read_bytes())
+    gone.unlink()
+    gone.symlink_to("nowhere")
+    done(command(tmp_path, "out"), 1)
+    process = command(tmp_path, "out")
+    within(60, lambda: children(process.pid))
+    process.kill()
+    process.communicate()
+    changed.write_bytes(right)
+    gone.unlink()
+    shutil.copy(archive / "in/sub/1.npz", gone)
+    done(command(tmp_path, "out"))
+    assert answers(tmp_path / "out") == answers(archive / "undisturbed")
+    times = Counter(line["output"] for line in lines(tmp_path / "out") if line["status"] == "done")
+    assert times == {"0.npz": 2, "2.npz": 1, "4.npz": 1, "sub/1.npz": 1, "sub/3.npz": 1}
 
 
 @NEEDS_PROC

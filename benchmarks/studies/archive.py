@@ -1,8 +1,11 @@
 """Whole archives through `motionrecover.batch`: the CMU recordings on some workers against one process.
 
-    python -m benchmarks.studies.archive [--workers N] [--clips N] [--growth N ...] [--kills N] [--output FILE]
+    python -m benchmarks.studies.archive [--part speed growth driver kills] [--workers N] [--clips N] [--growth N ...]
 
-The recordings are all of `cmu/npz`, `cmu/bvh` and `cmu/amc`, each as it is, or `--clips` of each folder.
+Parts can be run one by one: each replaces its own results. `speed` wants a machine with nobody else on it; the others
+hold on a busy one.
+
+speed: the recordings are all of `cmu/npz`, `cmu/bvh` and `cmu/amc`, each as it is, or `--clips` of each folder.
 
     warm-up    one clip of each kind (skeleton and stored length) is recovered first, so that every program is in the
                folder that all processes share, as for any batch but a user's first
@@ -12,11 +15,18 @@ The recordings are all of `cmu/npz`, `cmu/bvh` and `cmu/amc`, each as it is, or 
     failed     clips without an answer, with the reason
     equal      answers of the same bytes as alone
     programs   of the worker that needed most, compiled or taken from the folder
-    growth     batches of so many synthetic clips of `TINY` frames: milliseconds a clip from the first to the last, the
-               same when nothing is to do in a second run, growth of the driver's resident memory, and
-               size of the manifest
-    kills      a batch of `KILLED` synthetic clips is killed at so many random moments and run again: how many answers
-               have the bytes of a batch that was not, and how many clips were done more often than once
+    bytes      of an answer and of its line in the manifest, on average
+
+growth: batches of so many synthetic clips of `TINY` frames: milliseconds a clip from the first to the last, the same
+when nothing is to do in a second run, growth of the driver's resident memory, and size of the manifest. Milliseconds of
+processor time of the driver, and of the workers over those that they need for a batch of `LEAST` clips, hold on a busy
+machine too.
+
+driver: the driver alone, with an executor that answers `--pretended` clips at once: milliseconds a clip, and of
+processor time, seconds to write the index, growth of its resident memory, size of the manifest.
+
+kills: a batch of `KILLED` synthetic clips is killed at so many random moments and run again: how many answers have the
+bytes of a batch that was not, and how many clips were done more often than once.
 
 Results: `results/archive.json`.
 """
@@ -28,6 +38,7 @@ import json
 import multiprocessing
 import os
 import random
+import resource
 import subprocess
 import sys
 import tempfile
@@ -36,9 +47,10 @@ from collections import Counter
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from benchmarks.recordings import data_folder
-from motionrecover import corrupt, load, programs, save, synthesize
+from motionrecover import __version__, corrupt, load, programs, save, synthesize
 from motionrecover.batch import Job, Processes, Settings, plan, run
 from motionrecover.batch.jobs import MANIFEST
 from motionrecover.io import write_beside
@@ -52,13 +64,16 @@ STEPS = 2
 """Of the solver on it: what grows is what is around the solver."""
 KILLED = 40
 """Synthetic clips of the batch that is killed."""
+LEAST = 10
+"""Clips of a batch of which nearly all processor time is the start of the workers."""
+PARTS = "speed", "growth", "driver", "kills"
 
 
 def recordings(clips: int | None) -> list[Job]:
     """All recordings, or so many of each folder, with the folder kept in the answer's name."""
     found = []
     for name in FOLDERS:
-        jobs = plan([data_folder() / "cmu" / name], "answers")
+        jobs = plan([data_folder() / "cmu" / name / "**" / f"*.{name}"], "answers")
         found += [Job(job.source, f"{name}/{job.name}", job.format) for job in jobs[:clips]]
     return found
 
@@ -119,6 +134,8 @@ def compare(jobs: list[Job], workers: int, place: Path) -> dict:
         "load": load_before,
         "speed": seconds["alone"] / seconds["batch"],
         "programs": max(needed.values()),
+        "answer bytes": sum(record["bytes"] for record in done) // len(done),
+        "record bytes": (place / "batch" / MANIFEST).stat().st_size // len(found),
     }
 
 
@@ -149,6 +166,12 @@ class Watch:
         self.peak = max(self.peak, resident())
 
 
+def of_workers() -> float:
+    """Seconds of processor time of the processes that this one started and that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def resident() -> int:
     """Bytes of this process that are in memory."""
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
@@ -158,11 +181,18 @@ def grown(clips: int, workers: int, place: Path) -> dict:
     """Time and memory of a batch of so many clips; to be called in a fresh process."""
     folder = synthetic(place, clips)
     settings = Settings(recovery={"max_steps": STEPS}, programs=str(place.parent / "programs"))
-    before, found = resident(), []
+    few = plan([folder], place / "few")[:LEAST]
+    run(few, place / "few", settings, Processes(workers))
+    start = of_workers()
+    run(few, place / "few again", settings, Processes(workers))
+    start = of_workers() - start
+    before, driver, others, found = resident(), time.process_time(), of_workers(), []
     for _ in range(2):
         watch = Watch()
         tally = run(plan([folder], place / "out"), place / "out", settings, Processes(workers), seen=watch)
         found.append((1000 * (watch.last - watch.first) / (clips - 1), watch.peak, tally))
+        if len(found) == 1:
+            driver, others = time.process_time() - driver, of_workers() - others
     (first, peak, tally), (again, peak_again, kept) = found
     grew = max(peak, peak_again) - before
     return {
@@ -170,9 +200,39 @@ def grown(clips: int, workers: int, place: Path) -> dict:
         "kept again": kept.kept,
         "ms a clip": first,
         "ms a clip again": again,
+        "processor ms a clip, driver": 1000 * driver / clips,
+        "processor ms a clip, workers": 1000 * (others - start) / (clips - LEAST),
         "driver grew MB": grew / 1e6,
         "driver grew bytes a clip": grew / clips,
         "manifest bytes a clip": (place / "out" / MANIFEST).stat().st_size / clips,
+    }
+
+
+def pretended(clips: int, place: Path) -> dict:
+    """Time and memory of a driver whose executor answers at once; to be called in a fresh process."""
+    samples = {"untouched": 9000, "denoised": 0, "repaired": 900, "filled": 90, "unknown": 9}
+    told = {"status": "done", "frames": 300, "joints": 31, "samples": samples, "moved_mm": 1.234, "report": None}
+    told |= {"bytes": 50_000, "sha256": 64 * "0", "version": __version__, "converged": True, "message": "Fine."}
+    told |= {"bone_length_deviation_mm": {"before": 1.234, "after": 0.5678}, "seconds": {"run": 1.234}, "notes": []}
+
+    def at_once(_: Callable, jobs: Iterable[Job]) -> Generator:
+        for job in jobs:
+            yield job, told | {"output": job.name, "input": job.source}
+
+    before, watch = resident(), Watch()
+    names = (f"{k // 1000:04}/{k % 1000:03}.npz" for k in range(clips))
+    jobs = [Job(f"archive/takes/{name}", name, "npz") for name in names]
+    start, processor = time.perf_counter(), time.process_time()
+    run(jobs, place, Settings(), at_once, seen=watch)
+    index = time.perf_counter() - watch.last
+    return {
+        "clips": clips,
+        "ms a clip": 1000 * (watch.last - start) / clips,
+        "processor ms a clip": 1000 * (time.process_time() - processor) / clips,
+        "seconds for the index": index,
+        "driver grew MB": (watch.peak - before) / 1e6,
+        "driver grew bytes a clip": (watch.peak - before) / clips,
+        "manifest bytes a clip": (place / MANIFEST).stat().st_size / clips,
     }
 
 
@@ -210,29 +270,40 @@ def killed(moments: int, workers: int, place: Path) -> dict:
 def main() -> None:
     """Measure, print and write the results."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--part", nargs="+", choices=PARTS, default=PARTS, help="what to measure (all)")
     parser.add_argument("--workers", type=int, default=processors(), help="processes (one for each processor)")
     parser.add_argument("--clips", type=int, help="recordings of each folder (all)")
     parser.add_argument(
         "--growth", type=int, nargs="*", default=[100, 1000, 5000], help="synthetic clips (100 1000 5000)"
     )
+    parser.add_argument("--pretended", type=int, default=1_000_000, help="clips of the driver alone (1000000)")
     parser.add_argument("--kills", type=int, default=10, help="moments (10)")
     parser.add_argument("--output", type=Path, default=Path(__file__).parent / "results" / "archive.json")
     asked = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        place = Path(folder)
-        results = {"recordings": compare(recordings(asked.clips), asked.workers, place), "growth": {}}
-        print(json.dumps(results["recordings"], indent=1), flush=True)
-        context = multiprocessing.get_context("spawn")
-        for count in asked.growth:
-            with ProcessPoolExecutor(1, mp_context=context) as fresh:
-                row = fresh.submit(grown, count, asked.workers, place / f"growth-{count}").result()
-            results["growth"][str(count)] = row
-            print(count, json.dumps(row), flush=True)
-        if asked.kills:
-            results["kills"] = killed(asked.kills, asked.workers, place / "kills")
-            print(json.dumps(results["kills"]), flush=True)
-    with write_beside(asked.output, overwrite=True) as temporary:
-        temporary.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    results = json.loads(asked.output.read_text(encoding="utf-8")) if asked.output.exists() else {}
+    for part in asked.part:
+        with tempfile.TemporaryDirectory() as folder:
+            results[part] = measured(part, asked, Path(folder))
+        with write_beside(asked.output, overwrite=True) as temporary:
+            temporary.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+        print(part, json.dumps(results[part], indent=1), flush=True)
+
+
+def measured(part: str, asked: argparse.Namespace, place: Path) -> dict:
+    """Results of a part."""
+    if part == "speed":
+        return compare(recordings(asked.clips), asked.workers, place)
+    if part == "kills":
+        return killed(asked.kills, asked.workers, place / "kills")
+    if part == "driver":
+        return in_fresh_process(pretended, asked.pretended, place)
+    return {str(n): in_fresh_process(grown, n, asked.workers, place / f"growth-{n}") for n in asked.growth}
+
+
+def in_fresh_process(function: Callable, *arguments: Any) -> dict:
+    """What a function returns in a process that did nothing before."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as fresh:
+        return fresh.submit(function, *arguments).result()
 
 
 if __name__ == "__main__":

@@ -7,20 +7,22 @@ import os
 import time
 import warnings
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from motionrecover import __version__, files, programs
-from motionrecover.batch.jobs import Job
+from motionrecover.batch import remote, stores
+from motionrecover.batch.facts import facts_of
+from motionrecover.batch.jobs import STORE, Job
+from motionrecover.batch.lock import Claim, Locked
 from motionrecover.batch.manifest import DONE, FAILED, Record
-from motionrecover.intake import fill
 from motionrecover.io import format_of, save
+from motionrecover.io.atomic import write_folder_beside
 from motionrecover.io.bvh_out import posed
 from motionrecover.recovery import RecoveryError, recover
-from motionrecover.report import account, write_report
+from motionrecover.report import write_report
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -54,26 +56,36 @@ class DiskFull(OSError):
     """There is no room for an answer."""
 
 
-def recover_clip(settings: Settings, folder: str, job: Job) -> Record:
-    """Recover one clip, write its answer into `folder`, and return the record without its parameters.
+def recover_clip(settings: Settings, folder: str, claim: Claim | None, job: Job) -> Record:
+    """Recover one clip, write its answer into `folder`, a URL perhaps, and return the record without its parameters.
 
-    Whatever is wrong with the clip becomes a record with the reason; raises `DiskFull` alone.
+    Whatever is wrong with the clip becomes a record with the reason. Raises `DiskFull`, and `Locked` without a word
+    written where the folder is no longer the batch's by `claim`.
     """
+    if claim is not None:
+        claim.check()
     if settings.programs is not None:
-        programs.keep_in(Path(settings.programs))
+        with suppress(OSError):  # on another machine, perhaps, where nobody has such a folder
+            programs.keep_in(Path(settings.programs))
     start = time.perf_counter()
     record = begun(job)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         warnings.simplefilter("ignore", DeprecationWarning)
+        path = Path(job.source)
         try:
-            record |= sources(job, settings)
-            record |= _recovered(settings, Path(folder), job, record["sha256"])
+            record |= stamped(job, settings)
+            with remote.fetched(job.source, settings.reading.get("format")) as path:
+                record |= sources(path, settings)
+                make = _recovered_take if job.format == STORE else _recovered
+                record |= make(settings, path, folder, claim, job, record["sha256"])
             record["status"] = DONE
+        except Locked:
+            raise
         except Exception as error:  # one bad clip never stops the rest, not by a defect of ours either
             if getattr(error.__cause__ or error, "errno", None) in FULL:
                 raise DiskFull(f"{error}") from error
-            record |= {"status": FAILED, "reason": _reason(error)}
+            record |= {"status": FAILED, "reason": _reason(error).replace(os.fspath(path), job.source)}
     notes = list(dict.fromkeys(" ".join(str(warning.message).split()) for warning in caught))
     took = round(time.perf_counter() - start, 3)
     process = {"pid": os.getpid(), "programs": programs.made()}
@@ -85,58 +97,71 @@ def begun(job: Job) -> Record:
     return {"output": job.name, "input": job.source, "version": __version__}
 
 
-def sources(job: Job, settings: Settings) -> Record:
-    """What tells whether a clip is still the same: SHA-256 of its file, and of those that are read with it."""
-    path = Path(job.source)
+def sources(path: Path, settings: Settings) -> Record:
+    """What tells whether a clip is still the same: SHA-256 of its file or group, and of files that are read with it."""
     found: Record = {"sha256": files.sha256(path)}
+    if path.is_dir():
+        return found
     known = format_of(path, settings.reading.get("format"))
     if known.beside is not None and (beside := known.beside(path)):
         found["beside"] = {os.path.relpath(other, path.parent): files.sha256(other) for other in beside}
     return found
 
 
-def _recovered(settings: Settings, folder: Path, job: Job, digest: str) -> Record:
+def stamped(job: Job, settings: Settings) -> Record:
+    """The stamp of a clip at a URL, which tells the same without fetching it."""
+    return {"stamp": remote.stamp(job.source, settings.reading.get("format"))} if remote.is_url(job.source) else {}
+
+
+def same(job: Job, settings: Settings, record: Record) -> bool:
+    """Whether a clip is the one of this record. Raises as reading it does."""
+    if remote.is_url(job.source):
+        return stamped(job, settings) == {"stamp": record.get("stamp")}
+    found = sources(Path(job.source), settings)
+    return found == {name: record[name] for name in ("sha256", "beside") if name in record}
+
+
+def _recovered(
+    settings: Settings, source: Path, folder: str, claim: Claim | None, job: Job, digest: str
+) -> dict[str, Any]:
     """Answer and page of a clip, written, and what the record says about them."""
     as_bvh = job.format == "bvh"
-    clip, kind, lengths = files.take_in(job.source, settings.bone_lengths, as_bvh=as_bvh, **settings.reading)
+    clip, kind, lengths = files.take_in(source, settings.bone_lengths, as_bvh=as_bvh, **settings.reading)
     masks = {"observed": clip.observed, "confidence": clip.confidence, "fps": clip.fps}
     given = {"preset": settings.preset, "bone_lengths": lengths, **settings.recovery}
     recovery = recover(clip.positions, clip.skeleton, **masks, **given)
     answer = files.answer(clip, recovery, settings.preset, digest)
     written = posed(answer) if as_bvh else answer
-    path, page = folder / job.name, folder / job.report
-    path.parent.mkdir(parents=True, exist_ok=True)
+    if claim is not None:
+        claim.check()
     # The answer comes last: where it is, all is.
-    if settings.report:
-        shown = {"preset": settings.preset, "bone_lengths": kind, **settings.recovery}
-        write_report(clip, recovery, page, title=Path(job.source).name, settings=shown, overwrite=True)
-    else:
-        page.unlink(missing_ok=True)  # of an earlier answer
-    save(written, path, format=job.format, overwrite=True)
-    off = account.measures(
-        {"before": fill(account.measured(clip)), "after": answer.positions}, clip.skeleton, recovery.bone_lengths
-    )
-    moved = account.moved(clip, recovery)
-    moved = moved[np.isfinite(moved)]
-    found = account.verdict(recovery)
-    return {
-        "report": job.report if settings.report else None,
-        "bytes": path.stat().st_size,
-        "frames": len(clip),
-        "joints": len(clip.names),
-        "converged": found["converged"],
-        "message": found["message"],
-        "steps": found["steps"],
-        "samples": account.changes(recovery)["samples"],
-        "moved_mm": _number(1000 * moved.mean() if moved.size else np.nan),
-        "bone_length_deviation_mm": {name: _number(value) for name, value in off["bone_length_deviation_mm"].items()},
-        "seconds": {name: round(value, 3) for name, value in found["seconds"].items()},
-    }
+    with remote.delivered(folder, [job.report, job.name]) as place:
+        path, page = place / job.name, place / job.report
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if settings.report:
+            shown = {"preset": settings.preset, "bone_lengths": kind, **settings.recovery}
+            write_report(clip, recovery, page, title=source.name, settings=shown, overwrite=True)
+        else:
+            page.unlink(missing_ok=True)  # of an earlier answer
+        save(written, path, format=job.format, overwrite=True)
+        size = path.stat().st_size
+    report = job.report if settings.report else None
+    return {"report": report, "bytes": size} | facts_of(clip, recovery, answer.positions)
 
 
-def _number(value: float) -> float | None:
-    """Four significant digits; None where there is no number."""
-    return float(f"{value:.4g}") if np.isfinite(value) else None
+def _recovered_take(
+    settings: Settings, source: Path, folder: str, claim: Claim | None, job: Job, digest: str
+) -> dict[str, Any]:
+    """The same for a take of a Zarr store, which has no page."""
+    path = Path(folder, job.name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with write_folder_beside(path) as place:
+        given = settings.preset, settings.bone_lengths, settings.recovery, settings.reading
+        facts = stores.recover_take(source, place, *given, digest)
+        if claim is not None:
+            claim.check()
+    stores.make_groups(folder, job.name, source)
+    return {"report": None, "bytes": remote.size(folder, job.name)} | facts
 
 
 def _reason(error: Exception) -> str:

@@ -9,7 +9,6 @@ puts the same bytes in the same place.
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
@@ -17,14 +16,14 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 
-from motionrecover.batch.clip import FULL, DiskFull, Settings, begun, recover_clip, sources
+from motionrecover.batch import remote
+from motionrecover.batch.clip import FULL, DiskFull, Settings, begun, recover_clip, same
 from motionrecover.batch.index import write_index
-from motionrecover.batch.jobs import INDEX, LOCK, MANIFEST, Job
-from motionrecover.batch.lock import Lock
+from motionrecover.batch.jobs import INDEX, LOCK, MANIFEST, STORE, Job
+from motionrecover.batch.lock import Lock, Locked
 from motionrecover.batch.manifest import DONE, FAILED, Manifest, Record
 from motionrecover.batch.workers import Executor
 from motionrecover.io import MotionFormatError
-from motionrecover.io.atomic import remove_leftovers
 
 SHOWN = 20
 """Failures that are kept to be told at the end; the manifest has all."""
@@ -69,24 +68,29 @@ def run(
 
     `seen` is called after each clip. `overwrite`: also into a folder with files that are no batch's.
 
-    Raises `Locked` while another batch writes there, `FileExistsError` for a folder of other files, and `OSError` in
-    one sentence when the disk is full. However it ends, the same call goes on.
+    Raises `Locked` while another batch writes there, `FileExistsError` for a folder of other files, `ValueError` for
+    pages on takes of stores, which have none, and `OSError` in one sentence when the disk is full. However it ends, the
+    same call goes on.
     """
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
+    if settings.report and (take := next((job for job in jobs if job.format == STORE), None)) is not None:
+        raise ValueError(f"{take.source} is in a store, whose takes have no page: leave report out (--report)")
+    folder = remote.local(folder)
+    home = remote.home(folder)
+    home.mkdir(parents=True, exist_ok=True)
     tally = Tally()
-    with Lock(folder / LOCK) as lock:
-        _refuse_others(folder, overwrite)
-        with Manifest(folder / MANIFEST) as manifest:
-            remove_leftovers(folder)
+    with Lock(home / LOCK) as lock:
+        remote.fetch_kept(folder, MANIFEST)
+        _refuse_others(folder, home, overwrite)
+        with Manifest(home / MANIFEST) as manifest:
+            remote.remove_leftovers(folder)
             try:
                 parameters = settings.parameters
                 left = _left(jobs, folder, settings, parameters, manifest, tally, seen)
-                work = partial(recover_clip, settings, os.fspath(folder))
+                work = partial(recover_clip, settings, folder, None if remote.is_url(folder) else lock.claim)
                 with closing(executor(work, left)) as outcomes:
                     for job, found in outcomes:
-                        lock.check()
-                        if isinstance(found, DiskFull):
+                        lock.claim.check()
+                        if isinstance(found, DiskFull | Locked):
                             raise found
                         if isinstance(found, Exception):
                             found = begun(job) | {"status": FAILED, "reason": str(found)}
@@ -102,9 +106,11 @@ def run(
                     ) from error
                 raise
             finally:
-                if lock.held:
-                    remove_leftovers(folder)
-            write_index(folder / INDEX, manifest)
+                if lock.claim.held:
+                    remote.remove_leftovers(folder)
+                    remote.send_kept(folder, MANIFEST)
+            write_index(home / INDEX, manifest)
+            remote.send_kept(folder, INDEX)
     return tally
 
 
@@ -118,24 +124,22 @@ def _left(jobs, folder, settings, parameters, manifest, tally, seen) -> Iterator
             yield job
 
 
-def _is_done(job: Job, folder: Path, settings: Settings, parameters: Record, record: Record | None) -> bool:
+def _is_done(job: Job, folder: str, settings: Settings, parameters: Record, record: Record | None) -> bool:
     if record is None or record["status"] != DONE or record["parameters"] != parameters | {"to": job.format}:
         return False
     try:
-        if (folder / job.name).stat().st_size != record["bytes"]:
+        if remote.size(folder, job.name) != record["bytes"] or not same(job, settings, record):
             return False
-        found = sources(job, settings)
+        return not settings.report or remote.size(folder, job.report) is not None
     except (OSError, MotionFormatError):
         return False
-    same = found == {name: record[name] for name in ("sha256", "beside") if name in record}
-    return same and (not settings.report or (folder / job.report).is_file())
 
 
-def _refuse_others(folder: Path, overwrite: bool) -> None:
+def _refuse_others(folder: str, home: Path, overwrite: bool) -> None:
     """Refuse a folder that holds files and no manifest."""
-    with os.scandir(folder) as entries:
-        other = next((entry.name for entry in entries if not entry.name.startswith(LOCK)), None)
-    if other is not None and not overwrite and not (folder / MANIFEST).is_file():
+    if overwrite or (home / MANIFEST).is_file():
+        return
+    if (other := remote.first_file(folder, LOCK)) is not None:
         raise FileExistsError(
             f"{folder} holds {other} and no manifest of a batch: choose an empty folder, or replace files in it with "
             "overwrite=True (--overwrite)",

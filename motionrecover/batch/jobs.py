@@ -9,12 +9,15 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePath
 
+from motionrecover.batch import remote, stores
 from motionrecover.io import MotionFormatError, format_of, formats
 
 MANIFEST, INDEX, LOCK = "manifest.jsonl", "index.html", "batch.lock"
 """What a batch keeps in its output folder beside the answers."""
 READ_ONLY_TO = "npz"
 """Format of answers to files whose own format is not written."""
+STORE = "zarr"
+"""Format of takes in Zarr stores and of their answers."""
 _LISTS = (".txt", ".list")
 
 
@@ -23,7 +26,7 @@ class Job:
     """One clip to recover."""
 
     source: str
-    """The file to read."""
+    """The file to read, or the group of a store: its path or its URL."""
     name: str
     """Of the answer, below the output folder, with slashes."""
     format: str
@@ -44,7 +47,9 @@ def plan(
     and `**` for folders of any depth), a list (`.txt` or `.list`: a file a line, from the folder of the list; `#` for
     comments), or a file. Answers have the path of their clip below the folder, the part of the pattern before its first
     wildcard, or the folder of the list. They have the format of their clip, or `READ_ONLY_TO`, or the one named `to`.
-    `format` is that of all clips, if their ending does not tell it.
+    `format` is that of all clips, if their ending does not tell it. A folder that ends in .zarr is a store: each take
+    in it is a clip, and its answer one in a store of the same name (`stores`). Folders, patterns, files and the output
+    folder can be named by URLs (`remote`), stores and lists cannot.
 
     Raises `ValueError` for sources that give nothing, for a source folder and an output folder of which one lies in
     the other, for names that lead out of the output folder, and for two clips with one answer.
@@ -52,15 +57,18 @@ def plan(
     writable = {known.name: known for known in formats() if known.writes}
     if to is not None and to not in writable:
         raise ValueError(f"received {to!r} as the format of the answers: give one of {', '.join(writable)}")
-    root = os.path.realpath(folder)
+    folder = remote.local(folder)
+    root = None if remote.is_url(folder) else os.path.realpath(folder)
     for kept in (MANIFEST, INDEX, LOCK):
         _refuse_link(root, kept, folder)
     jobs: dict[str, Job] = {}
-    for source in map(str, sources):
+    for source in map(remote.local, sources):
         before = len(jobs)
-        for path, name in _clips(source, root, folder):
+        for path, name in _takes(_clips(source, root, folder)):
             job = _job(path, name, format, to)
-            if _inside(os.path.realpath(path), root):
+            if root is None and job.format == STORE:
+                raise ValueError(f"{path} is in a store and {folder} a URL: answers in stores are written to folders")
+            if root is not None and not remote.is_url(path) and _inside(os.path.realpath(path), root):
                 raise ValueError(f"{path} lies in the output folder {folder}: a batch would read its own answers there")
             _refuse_link(root, job.name, folder)
             _refuse_link(root, job.report, folder)
@@ -74,22 +82,26 @@ def plan(
     return list(jobs.values())
 
 
-def _clips(source: str, root: str, folder: str | Path) -> Iterator[tuple[str, str]]:
-    """Each file of a source, and its path below the source."""
-    if os.path.isdir(source):
+def _clips(source: str, root: str | None, folder: str) -> Iterator[tuple[str, str]]:
+    """Each file or store of a source, and its path below the source."""
+    if remote.is_url(source):
+        yield from _remote_clips(source, folder)
+    elif os.path.isdir(source):
         _refuse_overlap(source, (*_parts(source), "**"), root, folder)
-        endings = {ending for known in formats() if known.reads for ending in known.suffixes} - {".asf"}
+        if _is_store(source):
+            yield source, os.path.basename(os.path.normpath(source))
+            return
         for place, folders, names in os.walk(source):
-            folders.sort()
-            for name in sorted(names):
-                if os.path.splitext(name)[1].lower() in endings and not name.startswith("."):
-                    path = os.path.join(place, name)
-                    yield path, os.path.relpath(path, source)
+            inside = sorted(filter(_is_store, folders))
+            folders[:] = sorted(set(folders) - set(inside))
+            for name in sorted([*inside, *filter(_is_motion, names)]):
+                path = os.path.join(place, name)
+                yield path, os.path.relpath(path, source)
     elif not os.path.exists(source) and glob.has_magic(source):
         fixed = PurePath(*_before_wildcard(PurePath(source).parts))
         _refuse_overlap(source, _parts(source), root, folder)
         for path in sorted(glob.iglob(source, recursive=True)):
-            if os.path.isfile(path):
+            if os.path.isfile(path) or _is_store(path):
                 yield path, os.path.relpath(path, fixed)
     elif not os.path.isfile(source):
         raise ValueError(f"{source} is no file, folder or pattern: check its name")
@@ -97,6 +109,41 @@ def _clips(source: str, root: str, folder: str | Path) -> Iterator[tuple[str, st
         yield from _listed(source)
     else:
         yield source, os.path.basename(source)
+
+
+def _remote_clips(source: str, folder: str) -> Iterator[tuple[str, str]]:
+    """Each file at a URL, and its path below it."""
+    if remote.is_url(folder) and remote.overlap(source, folder):
+        raise _overlap(source, folder)
+    for url, name in remote.found(source):
+        *above, last = name.split("/")
+        if any(map(_is_store, (source, *above))):
+            raise ValueError(f"{url} is in a store: copy stores to a folder, they are not read at URLs")
+        if _is_motion(last):
+            # Object stores take any text for a name.
+            if not all(above):
+                raise ValueError(f"{url} would be written outside the output folder: name it without '//'")
+            yield url, name
+
+
+def _takes(clips: Iterable[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """Clips with their names, and for each store its takes."""
+    for path, name in clips:
+        if _is_store(path) and os.path.isdir(path):
+            for take, below in stores.takes(path):
+                yield take, os.path.normpath(os.path.join(name, below))
+        else:
+            yield path, name
+
+
+def _is_store(name: str) -> bool:
+    return os.path.normpath(name).endswith(stores.SUFFIX)
+
+
+def _is_motion(name: str) -> bool:
+    """Whether a file has the ending of a format that is read, and is not hidden."""
+    endings = {ending for known in formats() if known.reads for ending in known.suffixes} - {".asf"}
+    return os.path.splitext(name)[1].lower() in endings and not name.startswith(".")
 
 
 def _listed(source: str) -> Iterator[tuple[str, str]]:
@@ -119,6 +166,8 @@ def _job(path: str, name: str, format: str | None, to: str | None) -> Job:
     """The job of a file; one of no known format becomes one too, and fails with the reason."""
     if ".." in PurePath(name).parts:
         raise ValueError(f"{path} would be written outside the output folder: name it without '..'")
+    if os.path.isdir(path):
+        return Job(path, PurePath(name).as_posix(), STORE)
     try:
         read = format_of(path, format)
         own = read.name if read.writes else READ_ONLY_TO
@@ -132,18 +181,26 @@ def _job(path: str, name: str, format: str | None, to: str | None) -> Job:
     return Job(path, PurePath(target).as_posix(), written.name)
 
 
-def _refuse_overlap(source: str, pattern: tuple[str, ...], root: str, folder: str | Path) -> None:
+def _refuse_overlap(source: str, pattern: tuple[str, ...], root: str | None, folder: str) -> None:
     """Refuse a source that finds files in the output folder, or that lies in it."""
+    if root is None:
+        return
     where = PurePath(*_before_wildcard(pattern))
     if _finds(pattern, PurePath(root).parts) or _inside(os.path.realpath(where), root):
-        raise ValueError(
-            f"{source} and the output folder {folder} lie in each other, so a batch would read its own answers: "
-            "choose an output folder beside it"
-        )
+        raise _overlap(source, folder)
 
 
-def _refuse_link(root: str, name: str, folder: str | Path) -> None:
+def _overlap(source: str, folder: str) -> ValueError:
+    return ValueError(
+        f"{source} and the output folder {folder} lie in each other, so a batch would read its own answers: "
+        "choose an output folder beside it"
+    )
+
+
+def _refuse_link(root: str | None, name: str, folder: str) -> None:
     """Refuse a name that links lead elsewhere."""
+    if root is None:
+        return
     path = os.path.join(root, name)
     if os.path.realpath(path) != os.path.normpath(path):
         raise ValueError(

@@ -4,7 +4,7 @@ The lock is a file that names host, process and start of the batch that holds it
 of change is its pulse. It is stale when its process is dead, told at once on the same host; on others when it had no
 pulse for `STALE` seconds, by the clock of the folder's own disk. Of several batches that find a stale lock, one takes
 it over. Should a file system betray that, a batch that finds another name in its lock writes no further record and
-stops.
+stops. Workers look there too before they write (`Claim`): those on other machines outlive the batch.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import socket
 import threading
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 
@@ -27,6 +28,30 @@ class Locked(OSError):
     """Another batch writes to the folder: one sentence that names it."""
 
 
+@dataclass(frozen=True)
+class Claim:
+    """What tells a worker, wherever it is, whether its batch still has the folder."""
+
+    path: str
+    content: str
+
+    @property
+    def held(self) -> bool:
+        """Whether the lock is there and no other batch's."""
+        return _read(self.path) == self.content
+
+    def check(self) -> None:
+        """Raise `Locked` unless it is held."""
+        if not self.held:
+            found = _read(self.path)
+            if found is None:
+                raise Locked(
+                    f"{self.path} is not there on {socket.gethostname()}: its batch has ended, or the folder is not "
+                    "shared with this machine"
+                )
+            raise Locked(f"{self.path} was taken over{_by(found)}: this batch stops, run it again later")
+
+
 class Lock:
     """The lock `path` while the block runs. Raises `Locked` where another batch holds it."""
 
@@ -34,7 +59,7 @@ class Lock:
         self._path = path
         holder = {"host": socket.gethostname(), "pid": os.getpid(), "start": time.strftime("%Y-%m-%d %H:%M:%S %z")}
         # Another batch of this very process has another token.
-        self._content = json.dumps(holder | {"token": secrets.token_hex(8)}) + "\n"
+        self.claim = Claim(os.fspath(path), json.dumps(holder | {"token": secrets.token_hex(8)}) + "\n")
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._beat, daemon=True)
 
@@ -46,24 +71,14 @@ class Lock:
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self._ended.set()
         self._thread.join()
-        if self.held:
+        if self.claim.held:
             self._path.unlink(missing_ok=True)
-
-    @property
-    def held(self) -> bool:
-        """Whether no other batch has taken the folder over."""
-        return self._read() == self._content
-
-    def check(self) -> None:
-        """Raise `Locked` unless the lock is held."""
-        if not self.held:
-            raise Locked(f"{self._path} was taken over{_by(self._read())}: this batch stops, run it again later")
 
     def _take(self) -> None:
         if self._create() or self._take_over():
             return
         raise Locked(
-            f"{self._path.parent} is in use{_by(self._read())}: wait for it, or choose another output folder "
+            f"{self._path.parent} is in use{_by(_read(self._path))}: wait for it, or choose another output folder "
             f"(if that batch is gone for certain, delete {self._path})"
         )
 
@@ -74,7 +89,7 @@ class Lock:
         except FileExistsError:
             return False
         try:
-            self._path.write_text(self._content, encoding="utf-8")
+            self._path.write_text(self.claim.content, encoding="utf-8")
         except OSError:
             self._path.unlink()
             raise
@@ -97,7 +112,7 @@ class Lock:
             beside.unlink(missing_ok=True)
 
     def _stale(self) -> bool:
-        holder = _parsed(self._read())
+        holder = _parsed(_read(self._path))
         if os.name == "posix" and holder.get("host") == socket.gethostname() and isinstance(holder.get("pid"), int):
             return not _alive(holder["pid"])
         return self._age(self._path) > STALE
@@ -113,16 +128,17 @@ class Lock:
         finally:
             now.unlink()
 
-    def _read(self) -> str | None:
-        try:
-            return self._path.read_text(encoding="utf-8", errors="replace")
-        except OSError:
-            return None
-
     def _beat(self) -> None:
-        while not self._ended.wait(PULSE) and self.held:
+        while not self._ended.wait(PULSE) and self.claim.held:
             with suppress(OSError):
                 os.utime(self._path)
+
+
+def _read(path: str | Path) -> str | None:
+    try:
+        return Path(path).read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return None
 
 
 def _alive(pid: int) -> bool:

@@ -30,7 +30,8 @@ class Executor(Protocol):
     def __call__(self, work: Callable[[J], A], jobs: Iterable[J]) -> Generator[tuple[J, A | Exception], None, None]:
         """Each job with what `work` returned for it, or the exception it ended with, in any order, as soon as it is
         there. `work`, jobs and answers can be pickled. Jobs are taken from the iterable as there is room for them.
-        When the generator is closed, no job is at hand any more."""
+        When the generator is closed, no job is begun any more; one that cannot be ended finds its batch gone (`Claim`)
+        before it writes."""
         ...
 
 
@@ -54,9 +55,9 @@ class Processes:
 
     def __call__(self, work: Callable[[J], A], jobs: Iterable[J]) -> Generator[tuple[J, A | Exception], None, None]:
         """See `Executor`."""
-        left, again = map(_Task, jobs), deque[_Task]()
+        left, again = map(Task, jobs), deque[Task]()
         idle: list[_Worker] = []
-        busy: dict[Connection, tuple[_Worker, _Task]] = {}
+        busy: dict[Connection, tuple[_Worker, Task]] = {}
         try:
             while True:
                 while len(busy) < self.workers:
@@ -92,7 +93,9 @@ class Processes:
 
 
 @dataclass
-class _Task:
+class Task:
+    """A job, and how often it was lost with its worker."""
+
     job: Any
     tries: int = 0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -21,10 +22,11 @@ def batch(
         list[str],
         typer.Argument(
             metavar="IN_DIR|GLOB|LIST...",
-            help="Folders, patterns in quotes ('takes/**/*.bvh'), lists of files (.txt), or motion files.",
+            help="Folders, patterns in quotes ('takes/**/*.bvh'), lists of files (.txt), motion files, Zarr stores; "
+            "also by URL (s3://bucket/takes).",
         ),
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", metavar="OUT_DIR", help="Folder to write into.")],
+    output: Annotated[str, typer.Option("--output", "-o", metavar="OUT_DIR", help="Folder or URL to write into.")],
     to: Annotated[
         str | None,
         typer.Option(
@@ -35,6 +37,10 @@ def batch(
     workers: Annotated[
         int | None,
         typer.Option(min=1, metavar="N", help="Processes. Left out, one for each processor.", show_default=False),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler whose workers to use instead (tcp://host:8786)."),
     ] = None,
     preset: given.Preset = given.PRESET,
     bone_lengths: given.BoneLengths = "auto",
@@ -63,7 +69,8 @@ def batch(
     it does what is missing, what failed, and what has another input or other options. One bad clip never stops the
     rest; the exit code is then 1. The options on reading apply to all files.
     """
-    from motionrecover.batch import Processes, Settings, plan, run
+    from motionrecover.batch import Dask, Processes, Settings, plan, run
+    from motionrecover.batch.remote import is_url
     from motionrecover.cli import checks
     from motionrecover.io.border import counted
     from motionrecover.many import processors
@@ -72,7 +79,14 @@ def batch(
     presets.find(preset)
     if report:
         checks.check_plotly()
-    checks.check_folder(output)
+    if not is_url(output):
+        checks.check_folder(Path(output))
+    if scheduler is not None:
+        if workers is not None:
+            raise typer.BadParameter("the scheduler has its own workers: leave --workers out")
+        # Other machines have another working folder.
+        *sources, output = (name if is_url(name) else os.path.abspath(name) for name in (*sources, output))
+        skeleton = os.path.abspath(skeleton) if skeleton is not None and os.path.isfile(skeleton) else skeleton
     jobs = plan(sources, output, format=format, to=to)
     cache = None if no_cache else keep_programs()
     settings = Settings(
@@ -90,7 +104,8 @@ def batch(
         report=report,
         programs=None if cache is None else str(cache),
     )
-    executor = Processes(min(processors() if workers is None else workers, len(jobs)))
+    local = Processes(min(processors() if workers is None else workers, len(jobs)))
+    executor = local if scheduler is None else Dask(scheduler)
     with terminal.progress(f"recovering {counted(len(jobs), 'clip')}", len(jobs), quiet or json) as show:
         tally = run(
             jobs,
@@ -108,12 +123,13 @@ def batch(
         raise typer.Exit(1)
 
 
-def _facts(tally: Tally, output: Path) -> dict:
+def _facts(tally: Tally, output: str) -> dict:
     from motionrecover.batch.jobs import MANIFEST
+    from motionrecover.batch.remote import home
 
     return {
-        "output": str(output),
-        "manifest": str(output / MANIFEST),
+        "output": output,
+        "manifest": str(home(output) / MANIFEST),
         "done": tally.done,
         "kept": tally.kept,
         "failed": tally.failed,
@@ -123,8 +139,9 @@ def _facts(tally: Tally, output: Path) -> dict:
     }
 
 
-def _print(tally: Tally, output: Path) -> None:
+def _print(tally: Tally, output: str) -> None:
     from motionrecover.batch.jobs import INDEX, MANIFEST
+    from motionrecover.batch.remote import home
     from motionrecover.io.border import counted
 
     total = max(sum(tally.samples.values()), 1)
@@ -140,6 +157,6 @@ def _print(tally: Tally, output: Path) -> None:
         for name, reason in tally.failures:
             print(reason if reason.startswith(name) else f"{name}: {reason}")
         if tally.failed > len(tally.failures):
-            print(f"and {tally.failed - len(tally.failures)} more, in {output / MANIFEST}")
+            print(f"and {tally.failed - len(tally.failures)} more, in {home(output) / MANIFEST}")
         print()
-    print(f"wrote {output / INDEX} and {output / MANIFEST}")
+    print(f"wrote {home(output) / INDEX} and {home(output) / MANIFEST}")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import re
 import secrets
+import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 _TEMPORARY = re.compile(r"\.[0-9a-f]{16}(\..*)?")
@@ -46,11 +47,40 @@ def write_beside(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]
         temporary.unlink(missing_ok=True)
 
 
+@contextmanager
+def write_folder_beside(path: str | Path) -> Iterator[Path]:
+    """An empty temporary folder that takes the name `path`, and the place of a folder there, when the block ends well.
+
+    Raises `OSError` in one sentence as `write_beside` does.
+    """
+    path = Path(path)
+    temporary, old = (path.with_name(f".{secrets.token_hex(8)}") for _ in range(2))
+    try:
+        temporary.mkdir()
+        yield temporary
+        with suppress(FileNotFoundError):
+            os.replace(path, old)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise OSError(f"{path} could not be written: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        shutil.rmtree(old, ignore_errors=True)
+
+
+def is_leftover(name: str) -> bool:
+    """Whether a file or folder has the name of a temporary one."""
+    return _TEMPORARY.fullmatch(name) is not None
+
+
 def remove_leftovers(folder: str | Path) -> None:
-    """Remove, from a folder and those below, the temporary files of processes that were killed while they wrote.
+    """Remove, from a folder and those below, the temporary files and folders of processes that were killed while they
+    wrote.
 
     For a folder that no other process writes to.
     """
-    for place, _, names in os.walk(folder):
-        for name in filter(_TEMPORARY.fullmatch, names):
+    for place, folders, names in os.walk(folder):
+        for name in filter(is_leftover, names):
             Path(place, name).unlink(missing_ok=True)
+        for name in filter(is_leftover, folders):
+            shutil.rmtree(Path(place, name), ignore_errors=True)
