@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from motionrecover.refine import Refinement, Refiner, load_refiner
     from motionrecover.skeleton import Skeleton
     from motionrecover.solver import Result
+    from motionrecover.stream import Stream
     from motionrecover.synthetic import synthesize
 
 __version__ = version("motionrecover")
@@ -40,6 +41,7 @@ __all__ = [
     "Refiner",
     "Result",
     "Skeleton",
+    "Stream",
     "corrupt",
     "from_xarray",
     "infer_graph",
@@ -64,6 +66,7 @@ _HOMES = {
     "refine": ("Refinement", "Refiner", "load_refiner"),
     "skeleton": ("Skeleton",),
     "solver": ("Result",),
+    "stream": ("Stream",),
     "synthetic": ("synthesize",),
 }
 """Modules of the public names, which load at their first use (PEP 562): importing JAX takes half a second."""

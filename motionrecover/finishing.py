@@ -7,10 +7,10 @@ from typing import Any
 import jax
 import numpy as np
 
+from motionrecover.estimate import FREE, project_blocks
 from motionrecover.evidence.contacts import find_contacts, foot_joints, plant
 from motionrecover.evidence.pose_prior import Poses, mean_from_poses, median_distances, present, proportioned
 from motionrecover.evidence.regression import ALIKE, bone_distance
-from motionrecover.robust import FREE, project_blocks
 from motionrecover.skeleton import Skeleton
 
 NEAR, REACH = 0.8, 3.0

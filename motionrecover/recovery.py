@@ -18,6 +18,7 @@ from motionrecover.robust import Change
 from motionrecover.runs import run_lengths
 from motionrecover.skeleton import Skeleton
 from motionrecover.solver import Result, Solution, solve
+from motionrecover.solver.smoother import INTACT
 
 TRUST = 0.01
 """Metres. A published model's sample that was moved farther counts as repaired, and less than fully trusted."""
@@ -221,7 +222,7 @@ def _robust(
     away = np.linalg.norm(np.nan_to_num(data - positions), axis=-1) > 6 * restored.noise
     intact[:, shared] *= ~away[:, shared]
     there = weights > 0
-    trusted = there & (intact > robust.INTACT)
+    trusted = there & (intact > INTACT)
     if restored.exact:
         positions = np.where(trusted[..., None], data, positions)
     lengths, intervals = np.full(len(skeleton.edges), np.nan), np.full((len(skeleton.edges), 2), np.nan)

@@ -24,6 +24,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
+from functools import partial
 
 import equinox as eqx
 import jax
@@ -31,8 +32,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from motionrecover import windows
+from motionrecover.estimate import Estimate, fill_gaps, hold
 from motionrecover.evidence import regression
-from motionrecover.evidence.bone_errors import drift, slack, smoothed_lengths
+from motionrecover.evidence.bone_errors import smoothed_lengths
 from motionrecover.evidence.bone_lengths import (
     BoneLengths,
     estimate_bone_lengths,
@@ -45,34 +47,18 @@ from motionrecover.evidence.pose_prior import Poses, median_distances, proportio
 from motionrecover.evidence.regression import bone_distance, predict_missing
 from motionrecover.evidence.rest_pose import begins_at_rest
 from motionrecover.intake import Intake
-from motionrecover.isometry.objective import Edges
-from motionrecover.isometry.projection import project
 from motionrecover.presets import Robust
 from motionrecover.programs import bucket, run
 from motionrecover.runs import run_lengths
 from motionrecover.skeleton import bone_lengths
 from motionrecover.solver import Result, Smoother, Solution, solve
-from motionrecover.solver.smoother import INTACT
-from motionrecover.whittaker import whittaker
 
 BODY = 3
 """Intact joints that place a body in space."""
 LONG = 10
 """Frames. Over a longer run with fewer than `BODY` intact joints nothing says what the others did."""
-SHORT = 4
-"""Frames. In gaps shorter than this the smoother predicts better than the other joints do."""
-INDEPENDENT = 0.2
-"""Share of the variance after the projection that a frame does not have in common with its neighbours. Bones of a depth
-camera jitter, and a projection frame by frame makes of that jitter of quiet joints: their second differences fall to
-5-15 times less with this than they were measured with, and 2-6 times without. 3 mm of noise at 30 Hz comes out at 2.72
-instead of 2.75 mm; with 1, at 2.70 mm and accelerations of 0.87 of the truth's instead of 0.93."""
-FREE = 1e3
-"""Median bones: the standard deviation of a bone's length that holds nothing."""
 POSES = 400
 """That take part in gaps, mirror images among them. With 800, three gaps of 240 frames come out the same."""
-STEADY = 9
-"""Frames of the running median of variances in gaps. The regression doubts single frames, in which another joint is
-thrown; the projection would move the joint in them alone."""
 NOISY, ALL = 0.2, 0.7
 """Noise above this many median bones that, with the outliers, is this share of all that varies leaves no motion to see.
 A walker whose every sample is displaced by 25 cm is still found to 6 cm, and stays below the second."""
@@ -128,7 +114,7 @@ def restore(
     bones = scale_about(lengths, clip.edge_lengths) if given else symmetric(estimate_bone_lengths(lengths), mirrored)
     spread = bones.spread[bones.rigid] / np.sqrt(2)
     usual = float(np.quantile(spread, 0.25)) if len(spread) else np.inf
-    scale = _scale(data, bones)
+    scale = body_scale(data, bones)
     exact = usual < Smoother.FLOOR * scale
     at_rest = exact and begins_at_rest(data, lengths, bones.length, Smoother.FLOOR * scale)
     if at_rest:
@@ -147,61 +133,26 @@ def restore(
         stored = bucket(spans[0].stop - spans[0].start, preset.window)
         solved = _in_windows(clip, spans, stored, together, bones, scale, noise_max, max_steps, seconds, progress)
         positions, covariance, intact, drive, solutions = solved
-        intact = np.where(observed & ~_hopeless(data, solutions, spans, scale), intact, 0)
-        kept = intact > INTACT
+        intact = np.where(observed & ~hopeless(data, solutions, spans, scale), intact, 0)
         noise = np.median([solution.state.noise for solution in solutions])
         exact = exact or noise < (2 * Smoother.FLOOR * scale) ** 2
-        if exact:
-            residual = np.where(kept[..., None], clip.merged - positions, 0)
-            bridged = whittaker(residual, np.where(kept, 0, (FREE * scale) ** 2), drive)
-            short = run_lengths(~kept) < SHORT
-            positions = np.where(short[..., None], positions + bridged, positions)
-            positions = np.where(kept[..., None], clip.merged, positions)
-        variance = np.maximum(np.einsum("tjj->tj", covariance), 0)
-        positions, combined = _with_regression(positions, variance, kept, drive, clip.edges, poses)
-        if exact:
-            combined[kept] = 0
-        ratio = np.sqrt(combined / np.maximum(variance, np.finfo(float).tiny))
-        measured = bone_lengths(np.where(kept[..., None], data, np.nan), clip.edges)
-        weights = np.where(kept, clip.merged_weights, 0)
+        found = Estimate(clip.merged, clip.merged_weights, positions, covariance, intact, drive)
+        found = fill_gaps(found, exact, scale, partial(_predicted, edges=clip.edges, poses=poses))
         if not given:
-            bones = estimate_bone_lengths(measured)
+            bones = estimate_bone_lengths(bone_lengths(found.measured, clip.edges))
             if not exact:
-                bones = smoothed_lengths(bones, positions, weights, clip.edges)
+                weights = np.where(found.kept, found.trust, 0)
+                bones = smoothed_lengths(bones, found.positions, weights, clip.edges)
             bones = symmetric(bones, mirrored)
-        covariance *= ratio[:, :, None]
-        covariance *= ratio[:, None]
-        held, varies = bones.rigid, np.zeros(len(bones.length))
-        if len(clip.edges) >= data.shape[1]:
-            varies = slack(measured, bones, data.shape[1])
-        elif not exact:
-            held = np.ones(len(held), bool)
-            off = drift(bones.length, positions, covariance, weights, clip.edges)
-            covariance += np.diag(off)
-            combined += off
-        held &= np.isfinite(bones.length)
-        length, varies = np.where(held, bones.length, 0), np.where(held, varies, (FREE * scale) ** 2)
-        positions, left = project_blocks(positions, covariance, length, varies, clip.edges, stored, seconds)
-        if not exact:
-            steady = whittaker(positions, INDEPENDENT * combined, drive)
-            positions, left = project_blocks(steady, covariance, length, varies, clip.edges, stored, seconds)
-        off = np.abs(bone_lengths(positions, clip.edges) - length) > Smoother.FLOOR * scale
-        broken = exact & (off & np.isnan(measured) & held & (varies == 0)).any(1)
-        if broken.any():
-            # An outlier passed for intact, and its neighbours cannot be where its bones lead: least trusted, it moves.
-            doubt = np.maximum(1 - intact[broken], 1e-6)[:, :, None] * np.eye(intact.shape[1])
-            loose = covariance[broken] + (Smoother.GROSS * scale) ** 2 * doubt
-            mended = project_blocks(positions[broken], loose, length, varies, clip.edges, stored, seconds)
-            positions[broken], left[broken] = mended
-            kept &= np.linalg.norm(positions - clip.merged, axis=-1) < Smoother.FLOOR * scale
-            intact = np.where(kept, intact, np.minimum(intact, INTACT))
+        found, left = hold(found, bones, clip.edges, exact, scale, stored, seconds)
+    positions, intact, kept = found.positions, found.intact, found.kept
     if at_rest:
         positions[0], left[0], intact[0], kept[0] = clip.merged[0], 0, 1, True
     # What the other joints predict is near its bones' lengths to begin with: there the bones correct little.
-    lost = _lost(kept)
+    lost = lost_frames(kept)
     return Restored(
         positions=np.where((lost & ~kept)[..., None], np.nan, positions),
-        variance=np.where(kept, left, np.where(lost, np.inf, combined)),
+        variance=np.where(kept, left, np.where(lost, np.inf, found.variance)),
         intact=intact,
         noise=max(float(np.sqrt(noise)), Smoother.FLOOR * scale),
         exact=exact,
@@ -221,7 +172,7 @@ def verdict(restored: Restored) -> Result:
     return next((r for r in results if not bool(r == Result.converged)), Result.converged)
 
 
-def _scale(data, bones):
+def body_scale(data, bones):
     """Median bone length; the body's own spread where there are no bones; 1 where there is neither."""
     lengths = bones.length[np.isfinite(bones.length) & (bones.length > 0)]
     if len(lengths):
@@ -275,33 +226,16 @@ def _solve(clip, span, stored, together, bones, scale, noise_max, max_steps, sec
     return run(solve, {"solver": solver, "problem": problem}, {"max_steps": max_steps}, seconds), origin
 
 
-def _with_regression(positions, variance, kept, drive, edges, poses):
-    """Positions and variances with the regression's predictions averaged into longer gaps."""
-    length = run_lengths(~kept)
-    gaps = length >= SHORT
-    if not gaps.any():
-        return positions, variance.copy()
-    distance = bone_distance(edges, positions.shape[1])
+def _predicted(positions, kept, gaps, edges, poses):
+    """What the other joints say of gaps: see `estimate.Predict`."""
     body = None
-    if poses is not None and length.max() >= regression.LONG:
+    if poses is not None and run_lengths(~kept).max() >= regression.LONG:
         distances = median_distances(np.where(kept[..., None], positions, np.nan))
         body = proportioned(poses.thinned(POSES), distances).positions
-    predicted, doubt = predict_missing(positions, kept, distance, gaps, body)
-    used = gaps & np.isfinite(doubt)
-    weight = np.where(used, variance / np.maximum(variance + doubt, np.finfo(float).tiny), 0)
-    positions = positions + weight[..., None] * (predicted - positions)
-    variance = np.where(used, weight * np.where(used, doubt, 0), variance)
-    positions = np.where(gaps[..., None], whittaker(positions, variance, drive), positions)
-    return positions, np.where(gaps, np.minimum(variance, _running_median(variance)), variance)
+    return predict_missing(positions, kept, bone_distance(edges, positions.shape[1]), gaps, body)
 
 
-def _running_median(x):
-    """Median of `STEADY` frames of x (frame, joint), mirrored at its ends."""
-    padded = np.pad(x, ((STEADY // 2, STEADY // 2), (0, 0)), mode="symmetric")
-    return np.median(np.lib.stride_tricks.sliding_window_view(padded, STEADY, axis=0), axis=-1)
-
-
-def _hopeless(data, solutions, spans, scale):
+def hopeless(data, solutions, spans, scale):
     """Windows, as frames (frame, 1), in which what is measured is noise."""
     hopeless = np.zeros((len(data), 1), bool)
     for span, solution in zip(spans, solutions, strict=True):
@@ -318,32 +252,7 @@ def _hopeless(data, solutions, spans, scale):
     return hopeless
 
 
-def _lost(kept):
+def lost_frames(kept):
     """Frames (frame, 1) of long runs with too few intact joints."""
     few = kept.sum(1, keepdims=True) < min(BODY, kept.shape[1])
     return run_lengths(few) > LONG if kept.any() else np.ones_like(few)
-
-
-def project_blocks(
-    positions: np.ndarray,
-    covariance: np.ndarray,
-    lengths: np.ndarray,
-    slack: np.ndarray,
-    edges: Edges,
-    block: int,
-    seconds: dict[str, float],
-) -> list[np.ndarray]:
-    """The two answers of `isometry.projection.project`, in blocks of so many frames, so that one program does."""
-    out = []
-    for start in range(0, len(positions), block):
-        part = slice(start, start + block)
-        pad = ((0, block - len(positions[part])), (0, 0), (0, 0))
-        arrays = {
-            "positions": np.pad(positions[part], pad),
-            "covariance": np.pad(covariance[part], pad),
-            "bone_lengths": lengths,
-            "slack": slack,
-        }
-        answer = run(project, arrays, {"edges": edges}, seconds)
-        out.append([np.asarray(x)[: len(positions[part])] for x in answer])
-    return [np.concatenate(parts) for parts in zip(*out, strict=True)]

@@ -43,7 +43,7 @@ import numpy as np
 
 from benchmarks.recordings import data_folder
 from benchmarks.suite import clips, measure, methods, rows
-from motionrecover import programs, robust
+from motionrecover import estimate, programs, robust
 from motionrecover.io.atomic import write_beside
 from motionrecover.solver import smoother
 from motionrecover.solver.smoother import Smoother
@@ -62,7 +62,7 @@ Change = tuple[Any, str, Any]
 
 def unheld(positions, covariance, *_):
     """In place of the projection."""
-    return positions, np.einsum("tjj->tj", covariance)
+    return positions.copy(), np.einsum("tjj->tj", covariance)
 
 
 VARIANTS: dict[str, tuple[Change, ...]] = {
@@ -71,9 +71,9 @@ VARIANTS: dict[str, tuple[Change, ...]] = {
     "outliers from 2 mm": ((Smoother, "GROSS", 0.01),),
     "one noise level": ((smoother, "USUAL", 1e9),),
     "bones do not vouch": ((robust, "evidence", lambda lengths, bones: np.zeros_like(lengths)),),
-    "no regression": ((robust, "SHORT", 10**9),),
-    "gaps not steadied": ((robust, "whittaker", lambda positions, variance, drive: positions),),
-    "bones not held": ((robust, "_project", unheld),),
+    "no regression": ((estimate, "SHORT", 10**9),),
+    "gaps not steadied": ((estimate, "whittaker", lambda positions, variance, drive: positions),),
+    "bones not held": ((estimate, "project_blocks", unheld),),
 }
 
 

@@ -17,7 +17,8 @@ PAGE = HERE.parents[1] / "docs" / "robust.md"
 TITLE = """# What `robust` does to recordings, measured
 
 Made by `python -m benchmarks.suite.page` from committed results. One command each measures them anew:
-`python -m benchmarks.suite` and `python -m benchmarks.studies.{kinect,markers,robust,pose_prior}`. Errors are in mm."""
+`python -m benchmarks.suite` and `python -m benchmarks.studies.{kinect,markers,robust,pose_prior,stream}`. Errors are in
+mm."""
 SUITE = """{clips} clips a row, spread evenly over subjects, at most 300 frames from the middle of each, {seeds} seeds.
 The error is over missing samples where the protocol makes gaps and over all samples elsewhere, +- its standard error
 over clips. The best peer has the least error of a cubic spline, running medians of 5, 15 and 31 frames, Hampel filter
@@ -34,11 +35,18 @@ people of this database differ: for motions unlike its walks, dances and sports 
 the whole clip, each in turn; straight limbs are given the true bone lengths, poses guess them ({clips} clips, {seeds}
 seed):"""
 
+STREAM = """`Stream` beside `recover` on the whole clip, and beside what is simple: cmu25, {clips} clips a row of
+{frames} frames, from the second second on; all samples, and missing ones in rows that make gaps. The running median has
+5 frames; it, hold and the one-euro filter hold the last sample over gaps."""
+TIMES = """Joined recordings at their rate, a delay of 0.25 s: the time of `push` as a share of a frame's. Ten other
+programs had most of the machine's two cores, and what `push` waited for was its turn: only the p99 of its own work and
+the load, the processor time of all threads over that of the frames, say something of `Stream`."""
+
 
 def render() -> str:
     """The page."""
-    studies = (STUDIES / f"{name}.json" for name in ("kinect", "markers", "robust", "pose_prior"))
-    suite, kinect, markers, parts, poses = (
+    studies = (STUDIES / f"{name}.json" for name in ("kinect", "markers", "robust", "pose_prior", "stream"))
+    suite, kinect, markers, parts, poses, stream = (
         json.loads(path.read_text(encoding="utf-8")) for path in (HERE / "results.json", *studies)
     )
     parts_note = (
@@ -63,6 +71,11 @@ def render() -> str:
         _unseen(poses["unseen"]),
         "Missing samples of gaps:",
         table(["row", "with poses", "without"], [[k, *map(_number, v.values())] for k, v in poses["gaps"].items()]),
+        "## Live streams",
+        STREAM.format(**stream),
+        _streams(stream["errors"]),
+        TIMES.format(**stream),
+        _times(stream["times"]),
     ]
     return "\n\n".join(blocks) + "\n"
 
@@ -121,6 +134,22 @@ def _unseen(skeletons: dict) -> str:
         for joint, found in joints.items()
     ]
     return table(["hidden", "poses", "mean pose", "straight limbs", "error over uncertainty"], rows)
+
+
+def _streams(rows: dict) -> str:
+    methods = ("recover", "1 s", "0.25 s", "0 s", "hold last", "running median", "one-euro")
+    lines = [
+        [f"{row}, {kind} samples", *(_number(found[method][kind]) for method in methods)]
+        for row, found in rows.items()
+        for kind in ("all", "missing")
+        if kind in found["recover"]
+    ]
+    return table(["protocol, rate", "`recover`", *methods[1:]], lines)
+
+
+def _times(rows: dict) -> str:
+    names = list(next(iter(rows.values())))
+    return table(["", *names], [[row, *(_number(found[name]) for name in names)] for row, found in rows.items()])
 
 
 def _number(value: float | None) -> str:

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 
 from motionrecover import __version__
-from motionrecover.cli import batch, changing, demo, learned, looking, recovery, terminal
+from motionrecover.cli import batch, changing, demo, learned, looking, recovery, stream, terminal
 
 _QUICKLY = "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling,xla_disable_slp_vectorizer"
 
@@ -27,6 +27,7 @@ for command in (
     looking.skeleton,
     recovery.recover,
     batch.batch,
+    stream.stream,
     looking.view,
     looking.evaluate,
     changing.corrupt,

@@ -111,6 +111,9 @@ def predict_missing(
     distance: np.ndarray,
     only: np.ndarray | None = None,
     poses: np.ndarray | None = None,
+    times: np.ndarray | None = None,
+    frames: Sequence[tuple[float, float]] = FRAMES,
+    kernels: Sequence[_Kernel] = KERNELS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Predictions (frame, joint, 3) of the samples that are not `known`, and their variance (frame, joint) an axis.
 
@@ -119,6 +122,7 @@ def predict_missing(
     tenth where six long gaps coincide, and nothing to speak of elsewhere. `distance` (joint, joint) is that of
     `bone_distance`. `only` (frame, joint) says which of the unknown samples to predict; all, if not given.
     `poses` (pose, joint, 3): a body of these proportions in poses of other people, NaN where it has no such joint.
+    `times` (frame,) in frames, if they are not in a row. Fewer `frames` and `kernels` are faster and less exact.
 
     Known samples keep their position with variance 0. What is not predicted (not asked for, or a joint with fewer than
     `LEAST` known samples) keeps its guess with infinite variance. Raises `ValueError` for misshapen arrays and for
@@ -138,7 +142,8 @@ def predict_missing(
     if not np.isfinite(positions).all():
         raise ValueError("received positions that are not finite: give a first guess for every missing sample")
 
-    trust, usable = _trust(known), known.sum(0) >= LEAST
+    times = np.arange(len(known)) if times is None else times
+    trust, usable = trust_of(known), known.sum(0) >= LEAST
     alike = np.zeros(joints, bool) if poses is None else present(poses)
     predictions, variance = positions.copy(), np.where(known, 0.0, np.inf)
     for joint in np.flatnonzero(usable & wanted.any(0)):
@@ -159,9 +164,11 @@ def predict_missing(
                 positions[np.ix_(rows, others)],
                 trust[np.ix_(rows, others)],
                 away,
-                rows.astype(np.float64),
+                times[rows].astype(np.float64),
                 gap,
                 people,
+                frames,
+                kernels,
             )
     return predictions, variance
 
@@ -174,6 +181,8 @@ def _regress(
     times: np.ndarray,
     gap: int,
     people: tuple[np.ndarray, np.ndarray] | None,
+    frames: Sequence[tuple[float, float]],
+    kernels: Sequence[_Kernel],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Predictions (query, 3) and variance (query,): steps 1 to 5 for one group of gaps, `gap` frames the longest.
 
@@ -187,9 +196,9 @@ def _regress(
     learnt = len(target)
     blocks, hidden = _blocks(times[:learnt], gap)
     late = np.abs(times[:, None] - times[:learnt])
-    in_time = {gaps: _matern(late / (gaps * gap)) for gaps in {kernel.gaps for kernel in KERNELS}}
+    in_time = {gaps: _matern(late / (gaps * gap)) for gaps in {kernel.gaps for kernel in kernels}}
     errors, predicted, variances, residuals, expected = [], [], [], [], []
-    for near, reach in FRAMES:
+    for near, reach in frames:
         fall = np.maximum(np.exp(-away / near), 1e-12)
         weights = fall * trust
         rotations, centres, shapes = rigid_frames(others, weights, learnt)
@@ -200,7 +209,7 @@ def _regress(
         offsets = [centres]
         if people is not None:
             offsets.append(mean_from_poses(*people, others, fall, share, trust, NOISE)[0])
-        for kernel in KERNELS:
+        for kernel in kernels:
             K = 1 + kernel.linear * linear + kernel.time * in_time[kernel.gaps]
             if kernel.exponential:
                 K += kernel.exponential * np.exp(-far / (2 * kernel.length**2))
@@ -259,7 +268,7 @@ def _matern(x: np.ndarray) -> np.ndarray:
     return (1 + a + a * a / 3) * np.exp(-a)
 
 
-def _trust(known: np.ndarray) -> np.ndarray:
+def trust_of(known: np.ndarray) -> np.ndarray:
     """Trust (frame, joint) in a sample: 1 if known, else by the frames to the nearest known one, at least `DOUBT`."""
     return np.maximum((1 + frames_away(known)) ** -2.0, DOUBT)
 

@@ -53,6 +53,37 @@ class Smoothed(eqx.Module):
     """G: what is known about the drive; the expectation of score score^T if the model is right."""
 
 
+def before(sample: Float[Array, "joint 3"], start: Float[Array, ""]) -> tuple[Array, Array]:
+    """z (2 joints, 3) and P before the first frame, around its sample: see `smooth`."""
+    eye = jnp.eye(len(sample))
+    return jnp.concatenate([sample, sample]), start * jnp.block([[eye, eye], [eye, (1 + SPEED**2) * eye]])
+
+
+def update(
+    z: Array, p: Array, y: Float[Array, "joint 3"], r: Float[Array, " joint"]
+) -> tuple[tuple[Array, Array], tuple[Array, Array, Array]]:
+    """z and P after the samples y of variance r; and v, V^-1 and K."""
+    joints = len(y)
+    factor = jnp.linalg.cholesky(p[:joints, :joints] + jnp.diag(r))
+    inverse = jax.scipy.linalg.cho_solve((factor, True), jnp.eye(joints))
+    gain = p[:, :joints] @ inverse
+    innovation = y - z[:joints]
+    # H picks columns, so thin products do.
+    once = p - gain @ p[:joints]
+    after = once - (once[:, :joints] - gain * r) @ gain.T
+    return (z + gain @ innovation, after), (innovation, inverse, gain)
+
+
+def ahead(z: Array, p: Array, drive: Float[Array, "joint joint"]) -> tuple[Array, Array]:
+    """z and P of the next frame."""
+    joints = len(drive)
+    now, last = z[:joints], z[joints:]
+    A, B, C = p[:joints, :joints], p[:joints, joints:], p[joints:, joints:]
+    cross = 2 * A - B.T
+    p = jnp.block([[4 * A - 2 * (B + B.T) + C + drive, cross], [cross.T, A]])
+    return jnp.concatenate([2 * now - last, now]), (p + p.T) / 2
+
+
 def smooth(
     samples: Float[Array, "frame joint 3"],
     noise: Float[Array, "frame joint"],
@@ -66,24 +97,13 @@ def smooth(
     variance like `start`: it says nothing that matters.
     """
     joints = samples.shape[1]
-    eye, whole = jnp.eye(joints), jnp.eye(2 * joints)
+    whole = jnp.eye(2 * joints)
 
     def forward(carry, row):
         z, p = carry
         y, r, a = row
-        factor = jnp.linalg.cholesky(p[:joints, :joints] + jnp.diag(r))
-        inverse = jax.scipy.linalg.cho_solve((factor, True), eye)
-        gain = p[:, :joints] @ inverse
-        innovation = y - z[:joints]
-        # H picks columns, so thin products do.
-        once = p - gain @ p[:joints]
-        after = once - (once[:, :joints] - gain * r) @ gain.T
-        x = z + gain @ innovation
-        now, last = x[:joints], x[joints:]
-        A, B, C = after[:joints, :joints], after[:joints, joints:], after[joints:, joints:]
-        cross = 2 * A - B.T
-        ahead = jnp.block([[4 * A - 2 * (B + B.T) + C + a * drive, cross], [cross.T, A]])
-        return (jnp.concatenate([2 * now - last, now]), (ahead + ahead.T) / 2), (z, p, innovation, inverse, gain)
+        (now, spread), filtered = update(z, p, y, r)
+        return ahead(now, spread, a * drive), (z, p, *filtered)
 
     def backward(carry, row):
         g, G = carry
@@ -112,11 +132,10 @@ def smooth(
         G = jnp.block([[4 * A + 2 * (B + B.T) + C, cross], [cross.T, A]])
         return (jnp.concatenate([2 * g[:joints] + g[joints:], -g[:joints]]), G), smoothed
 
-    first = jnp.concatenate([samples[0], samples[0]])
     following = jnp.concatenate([activity[1:], activity[-1:]])
-    prior = start * jnp.block([[eye, eye], [eye, (1 + SPEED**2) * eye]])
-    _, filtered = lax.scan(forward, (first, prior), (samples, noise, following))
-    nothing = jnp.zeros_like(first), jnp.zeros_like(whole)
+    first = before(samples[0], start)
+    _, filtered = lax.scan(forward, first, (samples, noise, following))
+    nothing = jax.tree.map(jnp.zeros_like, first)
     _, smoothed = lax.scan(backward, nothing, filtered, reverse=True)
     return Smoothed(*smoothed)
 

@@ -32,6 +32,7 @@ One step is one pass of expectation conditional maximisation (Meng & Rubin 1993)
 """
 
 import math
+from dataclasses import replace
 from typing import ClassVar
 
 import equinox as eqx
@@ -40,7 +41,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float, Int
 
-from motionrecover.isometry.objective import ends
+from motionrecover.isometry.objective import Edges, ends
 from motionrecover.solver.beliefs import beliefs
 from motionrecover.solver.kalman import smooth, smooth_each
 from motionrecover.solver.problem import Problem
@@ -112,6 +113,8 @@ class Smoother(eqx.Module):
     """`SmootherInfo.change` must fall below it."""
     anneal: int = eqx.field(static=True, default=30)
     """Steps in which the noise level comes down."""
+    beliefs: SmootherState | None = None
+    """Where to go on from; of frames whose `intact` is NaN only the bones tell. Left out, that is so of all frames."""
 
     trace: ClassVar[type] = SmootherInfo
 
@@ -134,12 +137,16 @@ class Smoother(eqx.Module):
         y = problem.positions.transpose(2, 1, 0)
         frames, joints, _ = y.shape
         observed = problem.weights.T > 0
-        alone = jnp.where(observed, jnp.log((1 - self.outlier_share) / self.outlier_share), 0.0)
+        alone = jnp.full(observed.shape, jnp.log((1 - self.outlier_share) / self.outlier_share))
+        intact = judged(alone, observed, self.evidence, problem.edges)
         hot = (self.HOT * self.scale) ** 2
+        if self.beliefs is not None:
+            known = ~jnp.isnan(self.beliefs.intact)
+            return replace(self.beliefs, intact=jnp.where(known, self.beliefs.intact, intact))
         return SmootherState(
             positions=y,
             covariance=jnp.zeros((frames, joints, joints), y.dtype),
-            intact=self._intact(problem, alone),
+            intact=intact,
             drive=jnp.diag(self.drive),
             activity=jnp.ones(frames, y.dtype),
             noise=jnp.full(joints, hot),
@@ -181,8 +188,8 @@ class Smoother(eqx.Module):
         prediction = jnp.maximum(s.error_variance - r, 1e-3 * variance)
         square = jnp.sum(s.error**2, -1)
         odds = jnp.log((1 - state.outlier_share) / state.outlier_share)
-        odds = odds + _log_intact(square, prediction, noise) - _log_normal(square, prediction + outlier)
-        intact = self._intact(problem, jnp.where(observed, odds, 0))
+        odds = odds + log_intact(square, prediction, noise) - log_normal(square, prediction + outlier)
+        intact = judged(odds, observed, self.evidence, problem.edges)
 
         weight = jnp.where(observed, intact, 0)
         doubt = jnp.where(observed, 1 - intact, 0)
@@ -234,16 +241,17 @@ class Smoother(eqx.Module):
         out = (state.intact.T <= INTACT) & (problem.weights > 0)
         return a, jnp.where(out, problem.positions - a, 0)
 
-    def _intact(self, problem, odds):
-        observed = problem.weights.T > 0
-        i, j = ends(problem.edges)
-        together = jnp.where(observed[:, i] & observed[:, j], self.evidence, 0)
-        return jnp.where(observed, jax.nn.sigmoid(beliefs(odds, together, problem.edges)), 0)
+
+def judged(odds: Samples, observed: Samples, evidence: Float[Array, "frame bone"], edges: Edges) -> Samples:
+    """Probability that a sample is intact, from its own log odds and those of its bones; 0 where missing."""
+    i, j = ends(edges)
+    together = jnp.where(observed[:, i] & observed[:, j], evidence, 0)
+    return jnp.where(observed, jax.nn.sigmoid(beliefs(jnp.where(observed, odds, 0), together, edges)), 0)
 
 
-def _log_intact(square, prediction, noise):
+def log_intact(square, prediction, noise):
     """Log of f: whichever of the noise and a sudden move explains the error, less 1.5 log(2 pi)."""
-    return jnp.logaddexp(_log_normal(square, prediction + noise), _log_t(square, prediction)) - jnp.log(2.0)
+    return jnp.logaddexp(log_normal(square, prediction + noise), _log_t(square, prediction)) - jnp.log(2.0)
 
 
 def _log_t(square, variance):
@@ -252,7 +260,7 @@ def _log_t(square, variance):
     return constant - 1.5 * jnp.log(variance) - (FREEDOM + 3) / 2 * jnp.log1p(square / (FREEDOM * variance))
 
 
-def _log_normal(square, variance):
+def log_normal(square, variance):
     """Log density of the normal in three dimensions, less 1.5 log(2 pi)."""
     return -1.5 * jnp.log(variance) - square / (2 * variance)
 
