@@ -18,9 +18,10 @@ Problem. A joint is unknown for a run of frames, its gap, and known elsewhere. F
 4. Poses. Of a human body, poses of other people predict the joint too (evidence.pose_prior). In longer gaps each
    candidate comes a second time, learnt from y less that prediction: what the clip itself never shows is then what
    people do, and not its mean.
-5. Average. Candidates, three frames times six kernels, with poses twice that, count by error^-4. The variance is their
-   averaged variance plus their disagreement, scaled so that |r|²/3v of the average over the hidden blocks is 1 on
-   average, and by what a block shorter than the gap and a handful of samples leave unseen.
+5. Average. In each frame candidates, three frames times six kernels, with poses twice that, count by error^-4 times
+   their variance there to the power of -2: far from what a candidate has learnt from, others know more. The variance is
+   their averaged variance plus their disagreement, scaled so that |r|²/3v of the average over the hidden blocks is 1
+   on average, and by what a block shorter than the gap and a handful of samples leave unseen.
 
 Nothing is in metres or seconds, so the answer turns, moves and scales with the clip, and a joint's number is nothing.
 """
@@ -56,6 +57,10 @@ interpolation grows as the square of time. With 0.05 for every guess, gaps of 24
 POWER = 4
 """Of the weights by error; 3 and 6 are as good. Stacking, the convex combination with the least error on the hidden
 blocks, is 2 to 16 % worse: it believes nine blocks too much."""
+SURE = 2
+"""Of the weights by variance, which are a frame's own: on 40 clips, with one draw, 21 joints at 120 Hz have 8.0 mm of
+error in gap3x60 and 15.1 in gap3x240; with 0 (the same weights in all frames) 8.8 and 16.2, with 1 in the latter 15.2,
+with 3 8.1 and 15.3; with 2 and without the weights by error 16.5 (3) in the latter."""
 LONG = 12
 """Frames. Shorter gaps are left to the clip itself."""
 ALIKE = 6
@@ -242,11 +247,10 @@ def _regress(
 
     tiny = np.finfo(np.float64).tiny
     # An error of exactly 0, of a joint that stands still, would leave no weight for the others.
-    odds = (max(errors) + tiny) / np.maximum(errors, 1e-6 * max(errors) + tiny)
-    weights = odds**POWER / (odds**POWER).sum()
-    answer, variance = _mixture(weights, predicted, variances)
+    odds = ((max(errors) + tiny) / np.maximum(errors, 1e-6 * max(errors) + tiny)) ** POWER
+    answer, variance = _mixture(odds, predicted, variances)
     if residuals:
-        residual, claimed = _mixture(weights, residuals, expected)
+        residual, claimed = _mixture(odds, residuals, expected)
         # A block hides at most half of what is known. Where gaps are longer, variances grow with the ratio: for gaps
         # of 240 in 300 frames the mean of error²/variance is 2.4 without it. Of few samples the residuals are few, too:
         # with two it is 3 without the last factor.
@@ -254,12 +258,15 @@ def _regress(
     return answer, variance
 
 
-def _mixture(
-    weights: np.ndarray, means: list[np.ndarray], variances: list[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (sample, 3) and variance (sample,) an axis of a weighted mixture of candidates."""
-    mean = np.tensordot(weights, means, 1)
-    return mean, weights @ np.array(variances) + weights @ ((np.array(means) - mean) ** 2).mean(2)
+def _mixture(odds: np.ndarray, means: list[np.ndarray], variances: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (sample, 3) and variance (sample,) an axis of a mixture of candidates, which count by `odds` (candidate,)
+    and by how sure they are of the sample."""
+    every, spread = np.array(means), np.array(variances)
+    sure = (spread.min(0) + np.finfo(np.float64).tiny) / (spread + np.finfo(np.float64).tiny)
+    weights = odds[:, None] * sure**SURE
+    weights /= weights.sum(0)
+    mean = np.einsum("ct,cti->ti", weights, every)
+    return mean, (weights * (spread + ((every - mean) ** 2).mean(2))).sum(0)
 
 
 def _matern(x: np.ndarray) -> np.ndarray:
