@@ -17,7 +17,7 @@ from motionrecover.evidence.bone_lengths import LEAST_FRAMES, estimate_bone_leng
 from motionrecover.motion import refuse_far
 from motionrecover.runs import frames_away
 from motionrecover.skeleton import ZERO_LENGTH, Skeleton, components
-from motionrecover.solver import Problem
+from motionrecover.solver import Guide, Problem
 
 LONG_BONE = 2.0
 """Metres. A body whose bones are longer than this in the median is not measured in metres."""
@@ -43,6 +43,8 @@ class Intake:
     edge_lengths: np.ndarray
     centre: bool
     """Whether the solver's origin is the data's middle, not the caller's origin."""
+    guide: tuple[np.ndarray, np.ndarray] | None = None
+    """Of the solver's joints (frame, solver joint, 3), complete, and trust in it (frame, solver joint)."""
 
     def problem(self, span: slice, stored: int, dtype: np.dtype) -> tuple[Problem, np.ndarray]:
         """The solver's problem for a span of frames, padded to `stored`, and its origin in the caller's coordinates."""
@@ -50,12 +52,20 @@ class Intake:
         known = merged[weights > 0]
         origin = np.median(known, 0) if self.centre and len(known) else np.zeros(3)
         pad = (0, stored - len(merged))
+        guide = None
+        if self.guide is not None:
+            there, trust = (part[span] for part in self.guide)
+            guide = Guide(
+                positions=jnp.asarray(np.pad((there - origin).transpose(2, 1, 0), ((0, 0), (0, 0), pad)), dtype),
+                weights=jnp.asarray(np.pad(trust.T, ((0, 0), pad)), dtype),
+            )
         return Problem(
             positions=jnp.asarray(np.pad((merged - origin).transpose(2, 1, 0), ((0, 0), (0, 0), pad)), dtype),
             weights=jnp.asarray(np.pad(weights.T, ((0, 0), pad)), dtype),
             bone_lengths=jnp.asarray(self.edge_lengths, dtype),
             frames=jnp.asarray(len(merged), jnp.int32),
             edges=self.edges,
+            guide=guide,
         ), origin
 
     def restore(self, positions: Any, frames: int) -> np.ndarray:
@@ -96,15 +106,20 @@ def take_in(
     fill_reach: float | None = 10.0,
     min_frames: int = 1,
     metres: bool = True,
+    guide: Any = None,
+    guide_confidence: Any = None,
 ) -> Intake:
     """Check the arguments of `recover` and prepare them. Raises `ValueError` for anything that cannot be used.
 
     Missing samples are stood for by straight lines in time. Their trust is 1 / (1 + d / `fill_reach`) at d frames from
     the nearest sample of the joint, and 0 where `fill_reach` is None. `metres`: warn
-    when the bones are too long to be in metres.
+    when the bones are too long to be in metres. `guide` (as `data`) stands for joints that are never observed.
     """
     data, weights = check(data, skeleton, observed, confidence)
-    seen, shape, names = weights > 0, data.shape[:2], skeleton.names
+    said = None if guide is None else _guide(guide, guide_confidence, skeleton, len(data))
+    if said is not None and np.any(weights):
+        data = np.where(np.any(weights, axis=0)[:, None], data, said[0])
+    seen, shape, names = np.isfinite(data[..., 0]), data.shape[:2], skeleton.names
     if shape[0] < min_frames:
         raise ValueError(
             f"received a clip of {shape[0]} frame{'s' * (shape[0] > 1)}: the model learns from time, "
@@ -136,11 +151,13 @@ def take_in(
             stacklevel=3,
         )
     members = [np.flatnonzero(groups == group) for group in range(groups.max() + 1)]
-    merged = np.stack([_medoid(data[:, joints]) for joints in members], 1)
-    merged_weights = np.stack([weights[:, joints].max(1) for joints in members], 1)
+    merged, merged_weights = _merged(data, weights, members)
     if seen.any() and fill_reach is not None:
         away = frames_away(np.isfinite(merged[..., 0]))
         merged_weights = np.where(away > 0, 1 / (1 + away / fill_reach), merged_weights)
+    if said is not None:
+        there, trust = _merged(*said, members)
+        said = fill(there), trust
     return Intake(
         data=data,
         weights=weights,
@@ -151,6 +168,7 @@ def take_in(
         edges=edges,
         edge_lengths=edge_lengths,
         centre=centre,
+        guide=said,
     )
 
 
@@ -209,6 +227,14 @@ def _mask(mask, name, shape, dtype):
     return np.where(np.isnan(mask), 1, mask).astype(dtype)
 
 
+def _guide(guide, confidence, skeleton, frames):
+    """The guide's positions (frame, joint, 3), NaN where it says nothing, and the trust in it (frame, joint)."""
+    positions, trust = check(guide, skeleton, confidence=confidence)
+    if len(positions) != frames:
+        raise ValueError(f"received a guide of {len(positions)} frames for a clip of {frames}: give one of each frame")
+    return positions, trust
+
+
 def _connected(skeleton):
     """Refuse a skeleton whose bones cannot hold it together."""
     if not skeleton.edges:
@@ -237,6 +263,14 @@ def _lengths(bone_lengths, skeleton, data):
             lengths = np.where(np.isnan(lengths), filled, lengths)
         return np.where(_points(skeleton), 0.0, lengths)
     return checked_lengths(bone_lengths, skeleton)
+
+
+def _merged(positions, weights, members):
+    """Positions and weights of the solver's joints, from those of their members."""
+    return (
+        np.stack([_medoid(positions[:, joints]) for joints in members], 1),
+        np.stack([weights[:, joints].max(1) for joints in members], 1),
+    )
 
 
 def _points(skeleton):

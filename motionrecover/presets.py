@@ -30,6 +30,8 @@ class Preset:
     """gamma in 1 / m^3; None leaves the term out. Higher keeps bones more rigid."""
     smoothness_weight: float | None = None
     """mu; None leaves the term out. Higher gives smoother, slower motion."""
+    guide_weight: float = 10.0
+    """beta in 1 / m, where `recover` is given a guide; 0 leaves the term out. Higher stays nearer the guide."""
     wavelet: str = "db10"
     """Any orthogonal wavelet of PyWavelets."""
     level: int = 2
@@ -91,12 +93,14 @@ class Preset:
             outlier_weight=array(weight),
             isometry_weight=array(self.isometry_weight or 0.0),
             smoothness_weight=array(self.smoothness_weight or 0.0),
+            guide_weight=array(self.guide_weight),
             penalty=array(penalty),
             penalty_growth=array(np.full(3, self.penalty_growth)),
             penalty_max=array(penalty_max),
             tolerance=array(self.tolerance),
             isometry=self.isometry_weight is not None,
             smoothness=self.smoothness_weight is not None,
+            guided=problem.guide is not None and self.guide_weight > 0,
             zero_start=self.initialisation == "printed",
             wavelet=self.wavelet,
             level=self.level,

@@ -97,6 +97,9 @@ def recover(
     fill_unseen: bool = False,
     plant_feet: bool = False,
     symmetric: bool = False,
+    guide: Any = None,
+    guide_confidence: Any = None,
+    guide_rounds: int = 1,
     max_steps: int | None = None,
     dtype: Any = None,
     throw: bool = True,
@@ -122,6 +125,11 @@ def recover(
     slide away, and moves feet by some millimetres. `symmetric`: estimated lengths of left and right bones are drawn
     together as far as their intervals allow.
 
+    Of the published models only: `guide`: where joints are believed to be, as D, NaN where nothing is known; the answer
+    is drawn there with `guide_confidence` (frame, joint) in [0, 1] and the preset's `guide_weight`, and joints that are
+    never observed may be known by it alone. A refiner (`load_refiner`) as guide is called with D, and needs `fps`; with
+    `guide_rounds` above 1 it is called again with each answer, and the model is solved again with what it says.
+
     Raises `ValueError`, in one sentence, for input that cannot be used: see `intake.take_in`.
     """
     preset = find(preset)
@@ -137,6 +145,8 @@ def recover(
         raise ValueError(f"received max_steps {max_steps}: give at least 1")
     arguments = D, skeleton, observed, confidence, bone_lengths
     if isinstance(preset, Robust):
+        if guide is not None:
+            raise ValueError("received a guide for robust: it is an option of the published models, give one as preset")
         if plant_feet and fps is None:
             raise ValueError("received plant_feet without fps: contacts are found by speed, give frames a second")
         recovery = _robust(*arguments, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet, symmetric, progress)
@@ -145,7 +155,20 @@ def recover(
             f"received max_gap, fill_unseen, plant_feet or symmetric for {preset.name}: they are options of robust"
         )
     else:
-        recovery = _published(*arguments, preset, steps, dtype, fps, progress)
+        if callable(guide) and fps is None:
+            raise ValueError("received a refiner as guide without fps: give frames a second")
+        if guide_rounds < 1:
+            raise ValueError(f"received guide_rounds {guide_rounds}: give at least 1")
+        refiner: Any = guide
+        asked = guide_rounds if callable(guide) else 0
+        if asked:
+            guide = refiner(D, skeleton, observed=observed, fps=fps).positions
+        recovery = _published(*arguments, preset, steps, dtype, fps, guide, guide_confidence, progress)
+        for _ in range(asked - 1):
+            if _useless(recovery.result):
+                break
+            guide = refiner(recovery.positions, skeleton, fps=fps, keep_observed=False).positions
+            recovery = _published(*arguments, preset, steps, dtype, fps, guide, guide_confidence, progress)
     if throw and _useless(recovery.result):
         raise RecoveryError(recovery.message)
     if verbose:
@@ -271,7 +294,9 @@ def _robust(
     )
 
 
-def _published(D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps, progress):
+def _published(
+    D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps, guide, guide_confidence, progress
+):
     """The answer of a published model: windows, solved one by one and faded into each other."""
     printed = preset.initialisation == "printed"
     clip = intake.take_in(
@@ -284,6 +309,8 @@ def _published(D, skeleton, observed, confidence, bone_lengths, preset, steps, d
         centre=not printed,
         fill_reach=preset.fill_reach,
         min_frames=preset.min_frames,
+        guide=guide,
+        guide_confidence=guide_confidence,
     )
     frames = len(clip.data)
     window = frames if printed or preset.window is None else preset.window
@@ -348,7 +375,7 @@ def _merge(solutions: Sequence[Solution]) -> Any:
         columns = np.stack([getattr(trace, name) for trace in traces])
         for values, count in zip(columns, steps, strict=True):
             values[count:last] = values[count - 1] if count else np.nan
-        return columns.sum(0) if name in ("nuclear", "outlier", "isometry", "smoothness") else columns.max(0)
+        return columns.sum(0) if name in ("nuclear", "outlier", "isometry", "smoothness", "guide") else columns.max(0)
 
     return type(traces[0])(**{field.name: column(field.name) for field in fields(traces[0])})
 

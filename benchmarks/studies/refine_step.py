@@ -55,10 +55,11 @@ def main() -> None:
         replaced = [layer(**vars(lstm)) for lstm in (made.lstm1, made.lstm2)]
         return eqx.tree_at(lambda n: (n.lstm1, n.lstm2), made, replaced)
 
-    zeros = dict.fromkeys(("loss", "position", "bone", "smooth", "perceptual"), jnp.float32(0))
+    terms = ("loss", "position", "distance", "bone", "smooth", "perceptual")
+    zeros = dict.fromkeys(terms, jnp.float32(0))
     clean = np.random.default_rng(1).normal(scale=0.2, size=(asked.batch, asked.frames, 21, 3))
     given = step.Given(
-        step.Task("bra-dgn", "choi-missing40", skeleton.edges, "all"),
+        step.Task("bra-dgn", "choi-missing40", skeleton, "all"),
         jnp.zeros((21, 3), jnp.float32),
         jnp.ones(3, jnp.float32),
         clean=jnp.asarray(clean.astype(np.float32)),

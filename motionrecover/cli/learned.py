@@ -15,7 +15,7 @@ import typer
 from motionrecover.cli import arguments as given
 from motionrecover.cli import terminal
 
-_PROTOCOLS = "choi-missing40, choi-missing20-noise3, choi-joints2 (any numbers), li-mixed, mixed"
+_PROTOCOLS = "choi-missing40, choi-missing20-noise3, choi-joints2 (any numbers), li-mixed, sensor, mixed"
 
 
 def models(json: given.Json = False) -> None:
@@ -50,8 +50,11 @@ def train(
     out: Annotated[Path, typer.Option(metavar="RUN", help="Folder of the run: log, picture, checkpoint, weights.")],
     resume: Annotated[bool, typer.Option("--resume", help="Go on from the last checkpoint in RUN.")] = False,
     preset: Annotated[
-        Literal["small", "paper"],
-        typer.Option(help="small: a narrow network in minutes on a CPU. paper: as published, for a GPU."),
+        Literal["small", "identity", "paper"],
+        typer.Option(
+            help="small: a narrow network in minutes on a CPU. identity: one that starts as the identity, in hours. "
+            "paper: as published, for a GPU."
+        ),
     ] = "small",
     steps: Annotated[
         int | None, typer.Option(min=1, metavar="N", help="Steps in all, not those of the preset.")

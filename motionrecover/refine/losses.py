@@ -19,6 +19,7 @@ class LossWeights:
     """What each term counts for."""
 
     position: float = 1.0
+    distance: float = 0.0
     bone: float = 0.0
     smooth: float = 0.0
     perceptual: float = 0.0
@@ -27,6 +28,11 @@ class LossWeights:
 def position(y: Motions, x: Motions) -> Array:
     """Choi et al. 2024, position loss: mean of (y - x)^2 over everything."""
     return ((y - x) ** 2).mean()
+
+
+def distance(y: Motions, x: Motions) -> Array:
+    """Mean distance of joints from where they were: of a mean of squares, what is missing has nearly all."""
+    return jnp.sqrt(((y - x) ** 2).sum(-1) + 1e-12).mean()
 
 
 def reproduction(y: Motions, x: Motions) -> Array:
@@ -67,7 +73,12 @@ def choi(
     The published code takes all three of normalised motion, whose axes have scales of their own: not bone lengths. Both
     scales are about a metre, so that the published weights serve.
     """
-    return {"position": position(y, x), "bone": bone(*metric, bones), "smooth": smooth(metric[0])}
+    return {
+        "position": position(y, x),
+        "distance": distance(*metric),
+        "bone": bone(*metric, bones),
+        "smooth": smooth(metric[0]),
+    }
 
 
 def li(y: Motions, x: Motions, metric: tuple[Motions, Motions], bones: tuple[tuple[int, int], ...]) -> dict[str, Array]:

@@ -14,8 +14,10 @@ except ImportError as error:
     raise ImportError("training needs optax and safetensors: pip install motionrecover[refine]") from error
 
 from motionrecover.refine import corruptions, losses, models
+from motionrecover.refine.augment import augmented
 from motionrecover.refine.models import Part
 from motionrecover.refine.normalise import Normaliser
+from motionrecover.skeleton import Skeleton
 
 
 def learnt(network: eqx.Module, part: Part) -> Any:
@@ -33,8 +35,11 @@ class Task:
 
     model: str
     protocol: str
-    bones: tuple[tuple[int, int], ...]
+    skeleton: Skeleton
     part: Part
+    batch_statistics: bool = True
+    """For batch normalisation, which else uses the running ones and leaves them."""
+    augmented: bool = False
 
 
 class Given(NamedTuple):
@@ -70,15 +75,20 @@ def _loss(parameters, rest, given):
     task, normaliser = given.task, Normaliser(given.mean, given.scale)
     network = eqx.combine(parameters, rest)
     drawn, inside = jax.random.split(given.key)
-    noisy, observed = corruptions.protocol(task.protocol)(drawn, given.clean, normaliser.mean)
-    x, noisy = normaliser.inward(given.clean), normaliser.inward(noisy)
+    clean = given.clean
+    if task.augmented:
+        clean = augmented(jax.random.fold_in(given.key, 1), clean, task.skeleton)
+    noisy, observed = corruptions.protocol(task.protocol)(drawn, clean, normaliser.mean)
+    x, noisy = normaliser.inward(clean), normaliser.inward(noisy)
+    if not task.batch_statistics:
+        inside = None
     if task.part == "perceptual":
         y, network = network.reproduce(x, inside)
     elif task.part == "denoiser":
         y, network = network.denoise(noisy, observed, inside)
     else:
         y, network = network(noisy, observed, inside)
-    terms = models.find(task.model).terms(y, x, (normaliser.outward(y), given.clean), task.bones)
+    terms = models.find(task.model).terms(y, x, (normaliser.outward(y), clean), task.skeleton.edges)
     if task.part == "denoiser":
         terms["perceptual"] = losses.perceptual(network.perceive(y), network.perceive(x))
     total = sum(given.weights[name] * term for name, term in terms.items())

@@ -29,21 +29,18 @@ import numpy as np
 from motionrecover.io.atomic import write_beside
 from motionrecover.refine import corruptions, models, weights
 from motionrecover.refine.data import Windows, evenly, read_clips, split
-from motionrecover.refine.models import Model, Part, Stage
+from motionrecover.refine.identity import as_identity
+from motionrecover.refine.models import Model, Part
 from motionrecover.refine.normalise import Normaliser
+from motionrecover.refine.schedule import PRESETS, Phase, Preset, plan, rate_at
 from motionrecover.refine.step import Given, Task, fresh_moments, step
 from motionrecover.skeleton import Skeleton
 
-SMALL_STEPS = 1500
-"""Of the small preset: minutes on a CPU."""
-SMALL_RATE = 1e-3
-"""Of the small preset, after `WARM_UP` steps from 0 and before a cosine to a fiftieth; each autoencoder has its own."""
-WARM_UP = 50
 CHECKPOINT = 5
 """Lines of the log from checkpoint to checkpoint."""
 HELD_OUT_BATCHES = 8
 """That a checkpoint is measured on."""
-_NOTHING: dict[str, float] = dict.fromkeys(("loss", "position", "bone", "smooth", "perceptual"), 0.0)
+_NOTHING: dict[str, float] = dict.fromkeys(("loss", "position", "distance", "bone", "smooth", "perceptual"), 0.0)
 
 
 class TrainingError(ValueError):
@@ -56,46 +53,18 @@ class Settings:
 
     model: str
     protocol: str
-    preset: Literal["small", "paper"] = "small"
-    """A narrow network in minutes on a CPU, or the published recipe, which is for a GPU."""
+    preset: Literal["small", "identity", "paper"] = "small"
+    """Of `schedule.PRESETS`."""
     split: Literal["subject", "window"] = "subject"
     held_out: tuple[str, ...] = ()
     """Subjects; none: drawn by the seed."""
     steps: int | None = None
-    """Of the whole run; None: `SMALL_STEPS`, or as many as the published epochs have. Stages keep their shares."""
+    """Of the whole run; None: as the preset says."""
     batch: int | None = None
     """Windows a step; None: as published."""
     heading: Literal["removed", "kept"] | None = None
     """None: as published."""
     seed: int = 0
-
-
-@dataclass(frozen=True)
-class Phase:
-    """Consecutive steps of one stage."""
-
-    first: int
-    stop: int
-    stage: Stage
-
-
-def plan(model: Model, epoch: int, steps: int | None) -> list[Phase]:
-    """The phases of a run with `epoch` steps an epoch; `steps` in all, shared by the stages as their epochs are."""
-    ends = np.cumsum([0, *(stage.epochs for stage in model.stages)])
-    total = int(ends[-1]) * epoch if steps is None else steps
-    borders = [round(total * int(end) / int(ends[-1])) for end in ends]
-    return [Phase(a, b, stage) for a, b, stage in zip(borders[:-1], borders[1:], model.stages, strict=True) if b > a]
-
-
-def rate_at(step: int, phases: list[Phase], small: bool) -> float:
-    """The learning rate of a step."""
-    now = next(phase for phase in phases if step < phase.stop)
-    if not small:
-        return now.stage.rate
-    same = [phase for phase in phases if phase.stage.trains == now.stage.trains]
-    done, total = step - same[0].first, same[-1].stop - same[0].first
-    warm = min(1.0, (done + 1) / min(WARM_UP, total))
-    return SMALL_RATE * warm * (0.02 + 0.98 * (1 + math.cos(math.pi * done / total)) / 2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,9 +82,9 @@ class Run:
     config: dict[str, Any]
 
     @property
-    def small(self) -> bool:
-        """Whether the preset is."""
-        return self.settings.preset == "small"
+    def preset(self) -> Preset:
+        """How it is trained."""
+        return PRESETS[self.settings.preset]
 
     @property
     def batch(self) -> int:
@@ -139,8 +108,10 @@ def set_up(settings: Settings, data: str | Path, out: str | Path, skeleton: Skel
     Raises `TrainingError` for a folder that belongs to another run or has nothing to resume, `ValueError` for unusable
     settings or data.
     """
-    model, folder = models.find(settings.model), Path(out)
+    model, preset, folder = models.find(settings.model), PRESETS[settings.preset], Path(out)
     corruptions.protocol(settings.protocol)
+    if preset.identity:  # refuses other networks before there is a folder
+        as_identity(model.make(skeleton, np.random.default_rng(0), preset.narrow))
     convention = model.convention
     if settings.heading is not None:
         convention = replace(convention, heading=settings.heading)
@@ -157,13 +128,12 @@ def set_up(settings: Settings, data: str | Path, out: str | Path, skeleton: Skel
             f"received {len(trained)} windows to train on: a batch needs {batch}, give more or smaller batches"
         )
     used = [clips.positions[c] for c in sorted(set(trained.where[:, 0].tolist()))]
-    steps = settings.steps or (SMALL_STEPS if settings.preset == "small" else None)
     config = {
         **asdict(settings),
         "joints": list(skeleton.names),
         "bones": [list(bone) for bone in skeleton.edges],
         "convention": asdict(convention),
-        "small": settings.preset == "small",
+        "small": preset.narrow,
         "clips": clips.digest,
         "windows": len(trained),
         "held_out_windows": len(held_out),
@@ -179,7 +149,8 @@ def set_up(settings: Settings, data: str | Path, out: str | Path, skeleton: Skel
         with write_beside(folder / "config.json") as temporary:
             temporary.write_text(json.dumps(config, indent=1) + "\n", encoding="utf-8")
     normaliser = Normaliser.of(used, convention.scale)
-    return Run(settings, model, skeleton, normaliser, trained, held_out, plan(model, epoch, steps), folder, config)
+    phases = plan(model, preset, epoch, settings.steps)
+    return Run(settings, model, skeleton, normaliser, trained, held_out, phases, folder, config)
 
 
 def _same_run(folder: Path, config: dict[str, Any]) -> None:
@@ -203,7 +174,9 @@ def train(run: Run, *, seconds: float = math.inf) -> Iterator[dict[str, Any]]:
     """
     began, settings = time.monotonic(), run.settings
     key = jax.random.key(settings.seed)
-    network = run.model.make(run.skeleton, np.random.default_rng(settings.seed), run.small)
+    network = run.model.make(run.skeleton, np.random.default_rng(settings.seed), run.preset.narrow)
+    if run.preset.identity:
+        network = as_identity(network)
     network, moments, part, done = _resumed(run, network)
     _cut_log(run.folder / "log.csv", done)
     so_far, line_began = _arrays(_NOTHING), done
@@ -212,7 +185,14 @@ def train(run: Run, *, seconds: float = math.inf) -> Iterator[dict[str, Any]]:
             continue
         if phase.stage.trains != part:
             part, moments = phase.stage.trains, fresh_moments(network, phase.stage.trains)
-        task = Task(run.model.name, settings.protocol, run.skeleton.edges, phase.stage.trains)
+        task = Task(
+            run.model.name,
+            settings.protocol,
+            run.skeleton,
+            phase.stage.trains,
+            batch_statistics=not run.preset.identity,
+            augmented=run.preset.augmented,
+        )
         while done < phase.stop:
             given = Given(
                 task,
@@ -220,7 +200,7 @@ def train(run: Run, *, seconds: float = math.inf) -> Iterator[dict[str, Any]]:
                 jnp.asarray(run.normaliser.scale),
                 clean=jnp.asarray(run.trained.batch(done, run.batch, settings.seed)),
                 key=jax.random.fold_in(key, done),
-                rate=jnp.float32(rate_at(done, run.phases, run.small)),
+                rate=jnp.float32(rate_at(done, run.phases, run.preset)),
                 graph=jnp.float32(phase.stage.graph),
                 weights=_arrays(asdict(phase.stage.weights)),
                 so_far=so_far,
@@ -234,7 +214,7 @@ def train(run: Run, *, seconds: float = math.inf) -> Iterator[dict[str, Any]]:
             line = {
                 "step": done,
                 "epoch": round(done / run.trained.batches(run.batch), 3),
-                "rate": rate_at(done - 1, run.phases, run.small),
+                "rate": rate_at(done - 1, run.phases, run.preset),
                 "seconds": round(time.monotonic() - began, 1),
                 **{name: float(so_far[name]) / (done - line_began) for name in _NOTHING},
             }

@@ -4,12 +4,13 @@
 """
 
 from motionrecover.solver.loop import solve
-from motionrecover.solver.problem import Problem
+from motionrecover.solver.problem import Guide, Problem
 from motionrecover.solver.result import Result, Solution, Trace
 from motionrecover.solver.smoother import Smoother, SmootherInfo, SmootherState
 from motionrecover.solver.step import Info, Solver, State
 
 __all__ = [
+    "Guide",
     "Info",
     "Problem",
     "Result",

@@ -6,6 +6,15 @@ from jaxtyping import Array, Float, Int
 from motionrecover.isometry.objective import Edges
 
 
+class Guide(eqx.Module):
+    """Where somebody else, a learned refiner say, believes the joints to be."""
+
+    positions: Float[Array, "3 joint frame"]
+    """F."""
+    weights: Float[Array, "joint frame"]
+    """B in [0, 1]: trust in each of its samples; 0 where it says nothing, and in the padding."""
+
+
 class Problem(eqx.Module):
     """One clip, as the solver sees it: arrays of fixed shape, no names, no units, no NaN.
 
@@ -24,3 +33,5 @@ class Problem(eqx.Module):
     """Number of valid frames; the stored ones beyond are padding."""
     edges: Edges = eqx.field(static=True)
     """Bones as pairs of joint indices."""
+    guide: Guide | None = None
+    """For a solver with a guide term."""

@@ -36,6 +36,8 @@ class Trace(eqx.Module):
     """gamma / 2 E_iso(N)."""
     smoothness: Float[Array, " step"]
     """mu |C|_1."""
+    guide: Float[Array, " step"]
+    """beta / 2 |B (A - F)|^2."""
     rank: Float[Array, " step"]
     """Singular values of A above zero."""
     penalty: Float[Array, " step"]
@@ -48,7 +50,7 @@ class Trace(eqx.Module):
     @property
     def objective(self) -> Float[Array, " step"]:
         """Value of Eq. 8 at the split variables: the energy of the papers' convergence figures."""
-        return self.nuclear + self.outlier + self.isometry + self.smoothness
+        return self.nuclear + self.outlier + self.isometry + self.smoothness + self.guide
 
 
 class Solution(eqx.Module):

@@ -27,6 +27,18 @@ Written with what the three proxes take away,
 
 which reads and writes less, and adds no rounding to multipliers from step to step. That is what the code does.
 
+The guide term, which is not in the paper, draws A towards positions F of somebody else, with trust B in [0, 1]:
+
+    + beta/2 |B (A - F)|^2
+
+With B = 1 it joins the squares of Eq. 14 as H_4 = F with rho_4 = beta. Any other B would take the closed form from the
+A-step; there the term is replaced by the square above it that touches it at the last A, which has the same weight beta
+everywhere (Hunter & Lange, "A tutorial on MM algorithms", Am. Stat. 58(1), 2004):
+
+    H_4 = A + B^2 (F - A)
+
+Without beta the code is that of the paper.
+
 Given A, the N-, C- and E-steps do not see each other, so this is ADM with two blocks, (N, C, E) and A. Without the
 isometry term it converges for any constant penalty (Boyd et al., "Distributed Optimization and Statistical Learning
 via ADMM", 2011, Sec. 3.2). A growing penalty forces the constraints to hold whatever the answer; hence `rho_max`, and
@@ -81,6 +93,7 @@ class Info(eqx.Module):
     outlier: Scalar
     isometry: Scalar
     smoothness: Scalar
+    guide: Scalar
     rank: Scalar
     penalty: Scalar
     inner_steps: Scalar
@@ -95,6 +108,8 @@ class Solver(eqx.Module):
     """gamma, in 1 / length^3: higher keeps bones more rigid."""
     smoothness_weight: Scalar
     """mu: higher gives smoother, slower motion."""
+    guide_weight: Scalar
+    """beta, in 1 / length: higher stays nearer the guide."""
     penalty: Float[Array, "3"]
     """rho_1..3 of the first step, in 1 / length: higher enforces agreement sooner and stays nearer the start."""
     penalty_growth: Float[Array, "3"]
@@ -107,6 +122,8 @@ class Solver(eqx.Module):
     """Whether the model has the isometry term."""
     smoothness: bool = eqx.field(static=True)
     """Whether the model has the wavelet term."""
+    guided: bool = eqx.field(static=True)
+    """Whether the model has the guide term; the problem then has a guide."""
     zero_start: bool = eqx.field(static=True)
     """Start from A = 0 as printed, not from A = D."""
     wavelet: str = eqx.field(static=True)
@@ -130,14 +147,15 @@ class Solver(eqx.Module):
 
         The dual residual is the distance of the new point from stationarity. The A-step is exact, so A and the new
         multipliers satisfy its condition; the E- and C-steps saw the old A, which leaves rho_1 (A - A_old) and
-        rho_3 W (A - A_old); the N-step is one Gauss-Newton step, which leaves gamma J^T F(N) + Z_2. It is measured
+        rho_3 W (A - A_old); the N-step is one Gauss-Newton step, which leaves gamma J^T F(N) + Z_2; the square above
+        the guide term leaves beta (1 - B^2) (A - A_old). It is measured
         against |lambda w|, the largest norm that Z_1 can have at a solution, the primal residual against |D|: both are
         then free of units and of the length of the clip.
         """
         d, w = state.d, problem.weights[:, None]
         a, n, z1, z2, z3 = state.a, state.n, state.z1, state.z2, state.z3
         rho1, rho2, rho3 = state.penalty
-        k2 = c = k3 = jnp.zeros_like(rho1)
+        k2 = c = k3 = trust = away = jnp.zeros_like(rho1)
         inner_steps = jnp.array(0)
 
         x = d - a - z1 * (1 / rho1)
@@ -154,6 +172,10 @@ class Solver(eqx.Module):
             k3 = clip(x, self.smoothness_weight / rho3)
             c = x - k3
             h, rho = h - rho3 * self._waverec(problem, k3), rho + rho3
+        if self.guided and problem.guide is not None:
+            trust = problem.guide.weights[:, None] ** 2
+            away = problem.guide.positions.swapaxes(0, 1) - a
+            h, rho = h + self.guide_weight * trust * away, rho + self.guide_weight
         new, values = singular_value_threshold(a + h * (1 / rho), 1 / rho)
         values = jnp.maximum(values - 1 / rho, 0)
 
@@ -161,7 +183,7 @@ class Solver(eqx.Module):
         change = _square(moved)
         z1 = rho1 * (moved - k1)
         primal, dual = _square(e - d + new), rho1**2 * change
-        isometry = smoothness = jnp.zeros_like(primal)
+        isometry = smoothness = guide = jnp.zeros_like(primal)
         wa = state.wa
         if self.isometry:
             z2 = -rho2 * (moved + k2)
@@ -172,6 +194,9 @@ class Solver(eqx.Module):
             z3 = rho3 * (state.wa - wa - k3)
             primal, dual = primal + _square(c - wa), dual + rho3**2 * change
             smoothness = self.smoothness_weight * jnp.abs(c).sum()
+        if self.guided:
+            dual = dual + self.guide_weight**2 * _square((1 - trust) * moved)
+            guide = self.guide_weight / 2 * jnp.sum(trust * (away - moved) ** 2)
 
         info = Info(
             primal_residual=jnp.sqrt(primal) / state.scale[0],
@@ -180,6 +205,7 @@ class Solver(eqx.Module):
             outlier=self.outlier_weight * jnp.abs(w * e).sum(),
             isometry=isometry,
             smoothness=smoothness,
+            guide=guide,
             rank=(values > 0).sum(),
             penalty=rho1,
             inner_steps=inner_steps,

@@ -15,6 +15,7 @@ BONES = ((0, 1), (1, 2), (2, 3))
 def test_terms_are_their_equations():
     norms = [np.linalg.norm(y - x) for y, x in zip(Y, X, strict=True)]
     np.testing.assert_allclose(losses.position(Y, X), np.mean((Y - X) ** 2))
+    np.testing.assert_allclose(losses.distance(Y, X), np.linalg.norm(Y - X, axis=-1).mean())
     np.testing.assert_allclose(losses.reproduction(Y, X), np.mean(norms) / (5 * 12))
     h, k = RNG.normal(size=(2, 3, 5, 7))
     np.testing.assert_allclose(losses.perceptual(h, k), np.mean(np.linalg.norm(h - k, axis=(1, 2))) / (5 * 7))

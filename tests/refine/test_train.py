@@ -15,8 +15,9 @@ from helpers import SMALL_BODY
 
 from motionrecover.refine import load_refiner, models, weights
 from motionrecover.refine import train as training
+from motionrecover.refine.schedule import PRESETS, plan, rate_at
 from motionrecover.refine.step import Given, Task, fresh_moments, step
-from motionrecover.refine.train import Settings, TrainingError, plan, rate_at, set_up, train
+from motionrecover.refine.train import Settings, TrainingError, set_up, train
 
 CNN = Settings("cnn", "choi-missing20-noise3", steps=20, batch=4, held_out=("3",))
 
@@ -89,9 +90,9 @@ def test_incidence_rests_while_it_is_told_to(clips_folder, tmp_path):
     run = set_up(replace(CNN, model="bra-dgn-2"), clips_folder, tmp_path / "run", SMALL_BODY)
     network = run.model.make(SMALL_BODY, np.random.default_rng(0), True)
     moments, before = fresh_moments(network, "all"), weights.tensors_of(network, "")
-    one = dict.fromkeys(("position", "bone", "smooth", "perceptual"), jnp.float32(1))
+    one = dict.fromkeys(("position", "distance", "bone", "smooth", "perceptual"), jnp.float32(1))
     given = Given(
-        Task("bra-dgn-2", CNN.protocol, SMALL_BODY.edges, "all"),
+        Task("bra-dgn-2", CNN.protocol, SMALL_BODY, "all"),
         jnp.asarray(run.normaliser.mean),
         jnp.asarray(run.normaliser.scale),
         clean=jnp.asarray(run.trained.batch(0, 4, 0)),
@@ -112,19 +113,22 @@ def test_incidence_rests_while_it_is_told_to(clips_folder, tmp_path):
 
 
 def test_the_published_epochs_and_rates_are_the_plan():
-    phases = plan(models.find("bra-dgn"), 2962, None)
+    phases = plan(models.find("bra-dgn"), PRESETS["paper"], 2962)
     assert phases[-1].stop == 400 * 2962
     assert [phase.stop // 2962 for phase in phases] == [10, 50, 200, 300, 400]
     assert [phase.stage.graph for phase in phases] == [False, False, True, True, True]
-    assert [rate_at(phase.first, phases, False) for phase in phases] == [1e-3, 1e-4, 1e-4, 1e-4, 1e-4]
+    assert [rate_at(phase.first, phases, PRESETS["paper"]) for phase in phases] == [1e-3, 1e-4, 1e-4, 1e-4, 1e-4]
     weights_of = phases[-1].stage.weights
     assert (weights_of.position, weights_of.bone, weights_of.smooth) == (1, 5e-4, 5e-4)
-    assert [phase.stage.trains for phase in plan(models.find("bra-p"), 10, None)] == ["perceptual", "denoiser"]
+    assert [phase.stage.trains for phase in plan(models.find("bra-p"), PRESETS["paper"], 10)] == [
+        "perceptual",
+        "denoiser",
+    ]
 
 
 def test_the_small_preset_warms_up_and_cools_down_for_each_autoencoder():
-    phases = plan(models.find("bra-p"), 1, 1000)
-    rates = [rate_at(step, phases, True) for step in range(1000)]
+    phases = plan(models.find("bra-p"), PRESETS["small"], 1, 1000)
+    rates = [rate_at(step, phases, PRESETS["small"]) for step in range(1000)]
     assert rates[0] < 1e-4 < 9e-4 < max(rates) <= 1e-3
     np.testing.assert_allclose(rates[:500], rates[500:])
     assert rates[499] < 3e-5
