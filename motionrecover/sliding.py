@@ -43,6 +43,9 @@ COLD_STEPS = 45
 """At most, in a window that begins with nothing."""
 VIEWS, KERNELS = regression.FRAMES[1:2], (regression.KERNELS[2], regression.KERNELS[5])
 """Of the regression: a ninth of what is tried for a clip."""
+SURE = 0.0
+"""Weights by variance, as a clip has them, make missing samples of mixed at 30 Hz, 1 s, a tenth worse: what is learnt
+from frames that are far apart is sure of too much."""
 POSES = 128
 """Of other people."""
 CAUTION = 9.0
@@ -50,6 +53,9 @@ CAUTION = 9.0
 four times what it expects, and its variance counts so much more."""
 MARGIN = 16
 """Frames on either side of those that are due that are smoothed with them when the bones are held."""
+CROWD = 0.25
+"""Share of the joints. While more are hidden at once, the smoother alone fills gaps: those that could tell are hidden
+too, and a window must end in time (11 of 25 joints: 0.11 s of regression, 0.08 s from one window to the next)."""
 SHOWN = 24
 """Frames of the memory from which on the held lengths are those of samples found intact."""
 
@@ -374,6 +380,8 @@ def _predicted(positions, kept, gaps, state, plan, begins, near):
     for joint in np.flatnonzero(gaps[near].any(0)):
         for a, b in runs_of(gaps[:, joint]):
             wanted[a:b, joint] = a < near.stop and b > near.start
+    if wanted.any(0).mean() > CROWD:
+        return positions, np.full(kept.shape, np.inf)
     old = memory.times < begins
     before = memory.positions[old]
     known = memory.kept[old] & np.isfinite(before).all(-1)
@@ -388,6 +396,7 @@ def _predicted(positions, kept, gaps, state, plan, begins, near):
         np.concatenate([memory.times[old], np.arange(begins, begins + frames)]),
         VIEWS,
         KERNELS,
+        SURE,
     )
     return predicted[len(before) :], doubt[len(before) :]
 

@@ -10,12 +10,13 @@ import numpy as np
 from motionrecover import intake, poses, sliding
 from motionrecover.skeleton import Skeleton
 
-HURRY, LEISURE = (40, 4), (120, 6)
+HURRY, LEISURE, PATIENCE = (40, 4), (120, 6), (120, 12)
 """Frames of a window before the one that is asked for, and steps of the smoother in it. A CMU clip with 20 % displaced
 samples at 120 Hz, 0.25 s: 0.036 mm with 2 steps, 0.029 with 4, 0.038 with 160 frames and 2 steps (`recover`: 0.028). At
 30 Hz, 1 s: 0.126 mm with 40 frames and 4 steps, 0.114 with 120 and 10 (0.109)."""
 ENOUGH = 0.25
-"""Seconds from one window to the next that are enough for the second pair."""
+"""Seconds from one window to the next that are enough for the second pair, and for the third at up to `SLOW` Hz."""
+SLOW = 60.0
 LEAST = 3
 """Frames of delay, if any: a third of it passes from one window to the next."""
 HOP = 1 / 12
@@ -63,7 +64,7 @@ class Stream:
         hop = frames // 3 if frames else max(1, round(HOP * fps))
         # A window's answer is due when the next one begins. Without a delay it is not given out, but remembered.
         back = frames - hop + 1 if frames else 2 * hop + 1
-        history, steps = LEISURE if hop >= ENOUGH * fps else HURRY
+        history, steps = HURRY if hop < ENOUGH * fps else PATIENCE if fps <= SLOW else LEISURE
         people = poses.poses_of(skeleton.names)
         self._plan = sliding.Plan(
             edges=skeleton.edges,

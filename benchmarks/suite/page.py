@@ -29,18 +29,16 @@ bone's length over its mean. Jitter: second differences of joints that barely mo
 from tracked samples that were hidden, scattered and in runs of 15 frames. At scattered ones a spline is better: it
 follows the sensor's drift, which constant bones do not."""
 
-POSES = """The package ships poses of 10 people (`poses.npz`), from all CMU recordings at hand. Measurements here leave
-the clip's own person out of them; the sections above are from before there were any. `uncertainty` knows how much
-people of this database differ: for motions unlike its walks, dances and sports it promises too much. A joint hidden in
-the whole clip, each in turn; straight limbs are given the true bone lengths, poses guess them ({clips} clips, {seeds}
-seed):"""
+POSES = """The package ships poses of 10 people (`poses.npz`), from all CMU recordings at hand. All measurements on this
+page leave the clip's own person out of them. `uncertainty` knows how much people of this database differ: for motions
+unlike its walks, dances and sports it promises too much. A joint hidden in the whole clip, each in turn; straight limbs
+are given the true bone lengths, poses guess them ({clips} clips, {seeds} seed):"""
 
 STREAM = """`Stream` beside `recover` on the whole clip, and beside what is simple: cmu25, {clips} clips a row of
 {frames} frames, from the second second on; all samples, and missing ones in rows that make gaps. The running median has
 5 frames; it, hold and the one-euro filter hold the last sample over gaps."""
-TIMES = """Joined recordings at their rate, a delay of 0.25 s: the time of `push` as a share of a frame's. Ten other
-programs had most of the machine's two cores, and what `push` waited for was its turn: only the p99 of its own work and
-the load, the processor time of all threads over that of the frames, say something of `Stream`."""
+TIMES = """Joined recordings at their rate on one core, a delay of 0.25 s: the time of `push` as a share of a frame's, and
+of that the processor time of its own thread; load is the processor time of all threads over that of the frames."""
 
 
 def render() -> str:

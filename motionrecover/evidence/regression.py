@@ -119,6 +119,7 @@ def predict_missing(
     times: np.ndarray | None = None,
     frames: Sequence[tuple[float, float]] = FRAMES,
     kernels: Sequence[_Kernel] = KERNELS,
+    sure: float = SURE,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Predictions (frame, joint, 3) of the samples that are not `known`, and their variance (frame, joint) an axis.
 
@@ -127,7 +128,8 @@ def predict_missing(
     tenth where six long gaps coincide, and nothing to speak of elsewhere. `distance` (joint, joint) is that of
     `bone_distance`. `only` (frame, joint) says which of the unknown samples to predict; all, if not given.
     `poses` (pose, joint, 3): a body of these proportions in poses of other people, NaN where it has no such joint.
-    `times` (frame,) in frames, if they are not in a row. Fewer `frames` and `kernels` are faster and less exact.
+    `times` (frame,) in frames, if they are not in a row. Fewer `frames` and `kernels` are faster and less exact;
+    `sure`: see `SURE`.
 
     Known samples keep their position with variance 0. What is not predicted (not asked for, or a joint with fewer than
     `LEAST` known samples) keeps its guess with infinite variance. Raises `ValueError` for misshapen arrays and for
@@ -174,6 +176,7 @@ def predict_missing(
                 people,
                 frames,
                 kernels,
+                sure,
             )
     return predictions, variance
 
@@ -188,6 +191,7 @@ def _regress(
     people: tuple[np.ndarray, np.ndarray] | None,
     frames: Sequence[tuple[float, float]],
     kernels: Sequence[_Kernel],
+    sure: float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Predictions (query, 3) and variance (query,): steps 1 to 5 for one group of gaps, `gap` frames the longest.
 
@@ -248,9 +252,9 @@ def _regress(
     tiny = np.finfo(np.float64).tiny
     # An error of exactly 0, of a joint that stands still, would leave no weight for the others.
     odds = ((max(errors) + tiny) / np.maximum(errors, 1e-6 * max(errors) + tiny)) ** POWER
-    answer, variance = _mixture(odds, predicted, variances)
+    answer, variance = _mixture(odds, predicted, variances, sure)
     if residuals:
-        residual, claimed = _mixture(odds, residuals, expected)
+        residual, claimed = _mixture(odds, residuals, expected, sure)
         # A block hides at most half of what is known. Where gaps are longer, variances grow with the ratio: for gaps
         # of 240 in 300 frames the mean of error²/variance is 2.4 without it. Of few samples the residuals are few, too:
         # with two it is 3 without the last factor.
@@ -258,12 +262,13 @@ def _regress(
     return answer, variance
 
 
-def _mixture(odds: np.ndarray, means: list[np.ndarray], variances: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _mixture(
+    odds: np.ndarray, means: list[np.ndarray], variances: list[np.ndarray], sure: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Mean (sample, 3) and variance (sample,) an axis of a mixture of candidates, which count by `odds` (candidate,)
     and by how sure they are of the sample."""
-    every, spread = np.array(means), np.array(variances)
-    sure = (spread.min(0) + np.finfo(np.float64).tiny) / (spread + np.finfo(np.float64).tiny)
-    weights = odds[:, None] * sure**SURE
+    every, spread, tiny = np.array(means), np.array(variances), np.finfo(np.float64).tiny
+    weights = odds[:, None] * ((spread.min(0) + tiny) / (spread + tiny)) ** sure
     weights /= weights.sum(0)
     mean = np.einsum("ct,cti->ti", weights, every)
     return mean, (weights * (spread + ((every - mean) ** 2).mean(2))).sum(0)
