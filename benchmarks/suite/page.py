@@ -37,8 +37,8 @@ are given the true bone lengths, poses guess them ({clips} clips, {seeds} seed):
 STREAM = """`Stream` beside `recover` on the whole clip, and beside what is simple: cmu25, {clips} clips a row of
 {frames} frames, from the second second on; all samples, and missing ones in rows that make gaps. The running median has
 5 frames; it, hold and the one-euro filter hold the last sample over gaps."""
-TIMES = """Joined recordings at their rate on one core, a delay of 0.25 s: the time of `push` as a share of a frame's, and
-of that the processor time of its own thread; load is the processor time of all threads over that of the frames."""
+TIMES = """Joined recordings at their rate on one core, a delay of 0.25 s: the time of `push` as a share of a frame's,
+and what its own thread worked of it; load is the processor time of all threads over the time of the frames."""
 
 
 def render() -> str:
