@@ -54,8 +54,8 @@ four times what it expects, and its variance counts so much more."""
 MARGIN = 16
 """Frames on either side of those that are due that are smoothed with them when the bones are held."""
 CROWD = 0.25
-"""Share of the joints. While more are hidden at once, the smoother alone fills gaps: those that could tell are hidden
-too, and a window must end in time (11 of 25 joints: 0.11 s of regression, 0.08 s from one window to the next)."""
+"""Share of the joints. Where more are hidden in one frame, the smoother alone fills gaps: those that could tell are
+hidden too, and a window must end in time (11 of 25 joints: 0.11 s of regression, of 0.08 s to the next window)."""
 SHOWN = 24
 """Frames of the memory from which on the held lengths are those of samples found intact."""
 
@@ -380,7 +380,7 @@ def _predicted(positions, kept, gaps, state, plan, begins, near):
     for joint in np.flatnonzero(gaps[near].any(0)):
         for a, b in runs_of(gaps[:, joint]):
             wanted[a:b, joint] = a < near.stop and b > near.start
-    if wanted.any(0).mean() > CROWD:
+    if wanted[near].mean(1).max(initial=0) > CROWD:
         return positions, np.full(kept.shape, np.inf)
     old = memory.times < begins
     before = memory.positions[old]
