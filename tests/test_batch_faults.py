@@ -248,7 +248,8 @@ def test_a_disk_without_room(archive, tmp_path):
         assert error.count("\n") == 1
         there = answers(disk / "out")
         assert there.items() <= answers(archive / "undisturbed").items()
-        assert {line["output"] for line in lines(disk / "out")} == set(there)
+        # The other worker may have written its answer after the batch had ended: whole, and without a record.
+        assert {line["output"] for line in lines(disk / "out")} <= set(there)
         subprocess.run(["mount", "-o", "remount,size=1m", str(disk)], check=True)
         done(command(archive, str(disk / "out")))
         assert answers(disk / "out") == answers(archive / "undisturbed")
