@@ -4,11 +4,12 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+import batches
 import jax
 import pytest
 from hypothesis import settings
 
-from motionrecover import programs
+from motionrecover import programs, save
 from motionrecover.cli import main
 from motionrecover.io import MotionFormatError
 
@@ -64,3 +65,17 @@ def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str, str
         return code, *capsys.readouterr()
 
     return call
+
+
+@pytest.fixture(scope="module")
+def recovered_archive(tmp_path_factory):
+    """A folder with clips in `in` and what an undisturbed batch made of them in `undisturbed`."""
+    folder = tmp_path_factory.mktemp("archive")
+    (folder / "in" / "sub").mkdir(parents=True)
+    for seed in range(batches.CLIPS):
+        save(batches.motion(seed, 30 + seed), folder / "in" / ("sub" if seed % 2 else "") / f"{seed}.npz")
+    out, error = batches.done(batches.command(folder, "undisturbed", workers=1))
+    assert f"{batches.CLIPS} clips" in out
+    assert error == ""
+    assert {line["process"]["programs"] for line in batches.lines(folder / "undisturbed")} == {2}
+    return folder

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import clip, hit
+from batches import FAST, again, here, lines, motion
 
-from motionrecover import Motion, Skeleton, files, load, save
+from motionrecover import files, load, save
 from motionrecover.batch import Locked, Settings, driver, plan, run
 from motionrecover.batch import clip as clip_module
 from motionrecover.batch import lock as lock_module
@@ -22,36 +22,6 @@ from motionrecover.batch.lock import Lock
 from motionrecover.batch.manifest import Manifest
 from motionrecover.cli import main
 
-CHAIN = Skeleton("abcde", [(0, 1), (1, 2), (2, 3), (3, 4)])
-FAST = Settings(recovery={"max_steps": 3})
-
-
-def motion(seed, share=0.1):
-    return Motion(hit(clip(CHAIN, 30, seed), share, seed), CHAIN, fps=60.0)
-
-
-def here(work, jobs):
-    """The plainest executor."""
-    for job in jobs:
-        yield job, work(job)
-
-
-def again(sources, folder, settings=FAST):
-    """Runs a batch, and gives what of it was done, by name."""
-    done = []
-
-    def counting(work, jobs):
-        for job, record in here(work, jobs):
-            done.append(job.name)
-            yield job, record
-
-    run(plan(sources, folder), folder, settings, counting)
-    return done
-
-
-def lines(folder):
-    return [json.loads(line) for line in Path(folder, "manifest.jsonl").read_text().splitlines()]
-
 
 @pytest.fixture
 def archive(tmp_path, monkeypatch):
@@ -59,7 +29,7 @@ def archive(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("in/sub").mkdir(parents=True)
     save(motion(0), "in/a.npz")
-    save(motion(1, 0.3), "in/sub/b.csv")
+    save(motion(1, share=0.3), "in/sub/b.csv")
     return tmp_path
 
 
@@ -249,7 +219,7 @@ def test_defects_of_ours_stop_no_batch(archive, monkeypatch):
     def broken(*_, **__):
         raise IndexError("list index out of range")
 
-    monkeypatch.setattr(clip_module, "recover", broken)
+    monkeypatch.setattr(clip_module, "recover_motion", broken)
     assert again(["in"], "out") == ["a.npz", "sub/b.csv"]
     assert {line["reason"] for line in lines("out")} == {"IndexError: list index out of range"}
 

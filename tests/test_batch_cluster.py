@@ -10,14 +10,12 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from test_batch_faults import NEEDS_PROC, answers, archive, command, done, lines, within
+from batches import NEEDS_PROC, answers, command, done, lines, within
 
 from motionrecover.batch import Dask, WorkerLost
 from motionrecover.batch.clip import Settings, recover_clip
 from motionrecover.batch.jobs import Job
 from motionrecover.batch.lock import Lock, Locked
-
-__all__ = ["archive"]  # the fixture
 
 pytest.importorskip("distributed")
 
@@ -164,20 +162,20 @@ def test_a_worker_whose_batch_is_gone_writes_nothing(tmp_path, refused):
 
 
 @NEEDS_PROC
-def test_a_batch_outlives_its_scheduler(archive, cluster):
+def test_a_batch_outlives_its_scheduler(recovered_archive, cluster):
     cluster.scheduler()
     first = cluster.worker()
-    process = command(archive, "clustered", workers=cluster.address)
-    within(120, lambda: lines(archive / "clustered"))
+    process = command(recovered_archive, "clustered", workers=cluster.address)
+    within(120, lambda: lines(recovered_archive / "clustered"))
     kill(cluster._started[0])
     within(60, lambda: first.poll() is not None)  # a worker ends with its scheduler
     cluster.scheduler()
     cluster.worker()
     out, error = done(process)
     assert error == ""
-    assert answers(archive / "clustered") == answers(archive / "undisturbed")
-    written = [line["output"] for line in lines(archive / "clustered")]
+    assert answers(recovered_archive / "clustered") == answers(recovered_archive / "undisturbed")
+    written = [line["output"] for line in lines(recovered_archive / "clustered")]
     assert len(written) == len(set(written)) == 5
-    out, _ = done(command(archive, "clustered"))  # here again, where nothing is left to do
+    out, _ = done(command(recovered_archive, "clustered"))  # here again, where nothing is left to do
     assert "done before" in out
-    assert len(lines(archive / "clustered")) == 5
+    assert len(lines(recovered_archive / "clustered")) == 5

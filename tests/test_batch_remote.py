@@ -6,39 +6,14 @@ import signal
 from pathlib import Path
 
 import pytest
-from helpers import clip, hit
-from test_batch_faults import command, done, lines, within
+from batches import FAST, again, command, done, here, lines, motion, within
 
-from motionrecover import Motion, Skeleton, save
+from motionrecover import save
 from motionrecover.batch import Settings, plan, remote, run
 
 fsspec = pytest.importorskip("fsspec")
 
-CHAIN = Skeleton("abcde", [(0, 1), (1, 2), (2, 3), (3, 4)])
-FAST = Settings(recovery={"max_steps": 3})
 IN, OUT = "memory://takes", "memory://clean"
-
-
-def motion(seed):
-    return Motion(hit(clip(CHAIN, 30, seed), 0.1, seed), CHAIN, fps=60.0)
-
-
-def here(work, jobs):
-    for job in jobs:
-        yield job, work(job)
-
-
-def again(sources, folder, settings=FAST):
-    """Runs a batch, and gives what of it was done, by name."""
-    done = []
-
-    def counting(work, jobs):
-        for job, record in here(work, jobs):
-            done.append(job.name)
-            yield job, record
-
-    run(plan(sources, folder), folder, settings, counting)
-    return done
 
 
 @pytest.fixture

@@ -6,22 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import TOLERANCE, clip, hit
+from batches import CHAIN, FAST, again, here, lines, motion
+from helpers import TOLERANCE
 
-from motionrecover import Motion, Skeleton, from_xarray, recover, to_xarray
+from motionrecover import Motion, from_xarray, to_xarray
 from motionrecover.batch import Settings, plan, run, stores
 from motionrecover.io import MotionFormatError
+from motionrecover.recovery import recover_motion
 
 xarray = pytest.importorskip("xarray")
 zarr = pytest.importorskip("zarr")
 
-CHAIN = Skeleton("abcde", [(0, 1), (1, 2), (2, 3), (3, 4)])
-FAST = Settings(recovery={"max_steps": 3})
 pytestmark = pytest.mark.filterwarnings("ignore::FutureWarning")  # of Zarr, on how names are stored
-
-
-def motion(seed, frames=90):
-    return Motion(hit(clip(CHAIN, frames, seed), 0.1, seed), CHAIN, fps=60.0)
 
 
 def store(motion, path, version=3):
@@ -33,27 +29,8 @@ def opened(path):
     return xarray.open_zarr(path, chunks=None, consolidated=False).load()
 
 
-def here(work, jobs):
-    for job in jobs:
-        yield job, work(job)
-
-
-def again(sources, folder, settings=FAST):
-    """Runs a batch, and gives what of it was done, by name."""
-    done = []
-
-    def counting(work, jobs):
-        for job, record in here(work, jobs):
-            done.append(job.name)
-            yield job, record
-
-    run(plan(sources, folder), folder, settings, counting)
-    return done
-
-
 def records(folder):
-    found = map(json.loads, Path(folder, "manifest.jsonl").read_text().splitlines())
-    return {record["output"]: record for record in found}
+    return {record["output"]: record for record in lines(folder)}
 
 
 def contents(folder):
@@ -62,9 +39,7 @@ def contents(folder):
 
 def whole(path, settings=FAST):
     """What `recover` makes of the take in memory."""
-    motion = from_xarray(opened(path))
-    masks = {"observed": motion.observed, "confidence": motion.confidence, "fps": motion.fps}
-    return recover(motion.positions, motion.skeleton, **masks, **settings.recovery)
+    return recover_motion(from_xarray(opened(path)), **settings.recovery)
 
 
 def positions(path, individual=0):
@@ -79,8 +54,8 @@ def folder(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("version", [2, 3])
 def test_a_take_is_recovered_as_the_clip_is(folder, version):
-    store(motion(0), "in/deep/takes.zarr/monday/walk", version)
-    store(motion(1), "in/one.zarr", version)
+    store(motion(0, 90), "in/deep/takes.zarr/monday/walk", version)
+    store(motion(1, 90), "in/one.zarr", version)
     Path("in/deep/takes.zarr/.hidden/position").mkdir(parents=True)
     assert again(["in"], "out") == ["one.zarr", "deep/takes.zarr/monday/walk"]
     for name in ("deep/takes.zarr/monday/walk", "one.zarr"):
@@ -181,25 +156,25 @@ def test_what_is_no_take_or_not_to_be_trusted_is_refused(folder, refused):
         again([name], "out")
         return records("out")[name].get("reason", "")
 
-    store(to_xarray(motion(0)).drop_vars("keypoints"), "nameless.zarr")
+    store(to_xarray(motion(0, 90)).drop_vars("keypoints"), "nameless.zarr")
     assert "holds no keypoints" in reason("nameless.zarr")
-    store(motion(0), "pickled.zarr", 2)
+    store(motion(0, 90), "pickled.zarr", 2)
     metadata = Path("pickled.zarr/position/.zarray")
     metadata.write_text(json.dumps(json.loads(metadata.read_text()) | {"filters": [{"id": "pickle", "protocol": 5}]}))
     assert "asks for pickle" in reason("pickled.zarr")
-    store(motion(0), "long.zarr", 2)
+    store(motion(0, 90), "long.zarr", 2)
     for name in ("position", "confidence", "time"):
         metadata = Path("long.zarr", name, ".zarray")
         told = json.loads(metadata.read_text())
         metadata.write_text(json.dumps(told | {"shape": [10**9, *told["shape"][1:]]}))
     assert "times its size in memory" in reason("long.zarr")
-    store(motion(0), "thick.zarr", 2)
+    store(motion(0, 90), "thick.zarr", 2)
     metadata = Path("thick.zarr/position/.zarray")
     metadata.write_text(json.dumps(json.loads(metadata.read_text()) | {"chunks": [10**8, 3, 5, 1]}))
     assert "rechunk" in reason("thick.zarr")
     Path("broken.zarr/position").mkdir(parents=True)
     assert "broken.zarr" in reason("broken.zarr")
-    store(motion(0), "fine.zarr")
+    store(motion(0, 90), "fine.zarr")
     jobs = plan(["fine.zarr"], "out")
     refused(lambda: run(jobs, "out", Settings(report=True), here), "fine.zarr", "no page", error=ValueError)
     Path("none.zarr").mkdir()
@@ -214,7 +189,7 @@ def test_what_is_no_take_or_not_to_be_trusted_is_refused(folder, refused):
 
 
 def test_half_written_takes_go_when_the_next_batch_starts(folder):
-    store(motion(0), "in/takes.zarr/walk")
+    store(motion(0, 90), "in/takes.zarr/walk")
     again(["in"], "out")
     before = contents("out/takes.zarr")
     Path("out/takes.zarr/.0123456789abcdef/position").mkdir(parents=True)
