@@ -28,21 +28,14 @@ from functools import partial
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from motionrecover import windows
+from motionrecover.body import Body
 from motionrecover.estimate import Estimate, fill_gaps, hold
 from motionrecover.evidence import regression
 from motionrecover.evidence.bone_errors import smoothed_lengths
-from motionrecover.evidence.bone_lengths import (
-    BoneLengths,
-    estimate_bone_lengths,
-    evidence,
-    scale_about,
-    symmetric,
-)
-from motionrecover.evidence.drive import estimate_drive
+from motionrecover.evidence.bone_lengths import BoneLengths, estimate_bone_lengths, scale_about, symmetric
 from motionrecover.evidence.pose_prior import Poses, median_distances, proportioned
 from motionrecover.evidence.regression import bone_distance, predict_missing
 from motionrecover.evidence.rest_pose import begins_at_rest
@@ -112,26 +105,18 @@ def restore(
     data = np.where(observed[..., None], clip.merged, np.nan)
     lengths = bone_lengths(data, clip.edges)
     bones = scale_about(lengths, clip.edge_lengths) if given else symmetric(estimate_bone_lengths(lengths), mirrored)
-    spread = bones.spread[bones.rigid] / np.sqrt(2)
-    usual = float(np.quantile(spread, 0.25)) if len(spread) else np.inf
-    scale = body_scale(data, bones)
-    exact = usual < Smoother.FLOOR * scale
+    body = Body.of(data, lengths, bones)
+    scale, exact = body.scale, body.exact
     at_rest = exact and begins_at_rest(data, lengths, bones.length, Smoother.FLOOR * scale)
     if at_rest:
         clip = replace(clip, merged_weights=np.where(np.arange(len(data))[:, None] > 0, clip.merged_weights, 0))
         observed, data[0] = clip.merged_weights > 0, np.nan
-    # A mode's spread does not bound noise: with it, still joints of a Kinect recording keep 2.6 mm of jitter, not 1.
-    noise_max = usual if exact else np.inf
-
-    # Where each frame keeps each length, as in a BVH file, lengths do not tell a thrown rotation from a true one: with
-    # their word for it, most of 0.3 % thrown rotations stay, 5 mm before and 3 mm after; without, 0.03 mm.
-    tell = np.nanmax(np.abs(lengths - bones.length), initial=0) > Smoother.FLOOR * scale
-    together = evidence(lengths, bones) if tell else np.zeros(lengths.shape)
+    told = body.evidence(lengths)
     with jax.enable_x64(True):
         window = preset.window or len(data)
         spans = windows.split(len(data), window, min(preset.overlap, window - 1))
         stored = bucket(spans[0].stop - spans[0].start, preset.window)
-        solved = _in_windows(clip, spans, stored, together, bones, scale, noise_max, max_steps, seconds, progress)
+        solved = _in_windows(clip, spans, stored, body, told, max_steps, seconds, progress)
         positions, covariance, intact, drive, solutions = solved
         intact = np.where(observed & ~hopeless(data, solutions, spans, scale), intact, 0)
         noise = np.median([solution.state.noise for solution in solutions])
@@ -172,21 +157,11 @@ def verdict(restored: Restored) -> Result:
     return next((r for r in results if not bool(r == Result.converged)), Result.converged)
 
 
-def body_scale(data, bones):
-    """Median bone length; the body's own spread where there are no bones; 1 where there is neither."""
-    lengths = bones.length[np.isfinite(bones.length) & (bones.length > 0)]
-    if len(lengths):
-        return float(np.median(lengths))
-    known = data[np.isfinite(data).all(-1)]
-    across = np.median(np.linalg.norm(known - np.median(known, 0), axis=-1)) if len(known) else 0
-    return float(across) if across > 0 else 1.0
-
-
-def _in_windows(clip, spans, stored, together, bones, scale, noise_max, max_steps, seconds, progress):
+def _in_windows(clip, spans, stored, body, told, max_steps, seconds, progress):
     """Positions, covariance, intact, drive (frame, ...) blended from the windows', and these without covariance."""
     found, covariances, probabilities, drives, solutions = [], [], [], [], []
     for span in windows.told(spans, progress):
-        solution, origin = _solve(clip, span, stored, together[span], bones, scale, noise_max, max_steps, seconds)
+        solution, origin = _solve(clip, span, stored, body, told[span], max_steps, seconds)
         size, state = span.stop - span.start, solution.state
         found.append(np.asarray(state.positions)[:size] + origin)
         covariances.append(np.asarray(state.covariance)[:size])
@@ -194,7 +169,7 @@ def _in_windows(clip, spans, stored, together, bones, scale, noise_max, max_step
         drives.append(np.asarray(state.activity)[:size, None] * np.diag(state.drive))
         solutions.append(eqx.tree_at(lambda solution: solution.state.covariance, solution, None))
     # By precision, too: a gap that reaches beyond a window is known to the other.
-    least = (0.01 * Smoother.FLOOR * scale) ** 2
+    least = (0.01 * Smoother.FLOOR * body.scale) ** 2
     share = windows.shares(spans, [1 / np.maximum(np.einsum("tjj->tj", P), least) for P in covariances])
     positions, intact, drive = (windows.blend(x, spans, share) for x in (found, probabilities, drives))
     covariance = np.zeros((len(positions), *covariances[0].shape[1:]))
@@ -204,35 +179,21 @@ def _in_windows(clip, spans, stored, together, bones, scale, noise_max, max_step
     return positions, covariance, intact, drive, solutions
 
 
-def _solve(clip, span, stored, together, bones, scale, noise_max, max_steps, seconds):
+def _solve(clip, span, stored, body, told, max_steps, seconds):
     """The solution of one window, and its origin."""
     problem, origin = clip.problem(span, stored, np.dtype("float64"))
-    drive = estimate_drive(clip.merged[span], clip.merged_weights[span] > 0)
-    # A hundredth of a bone a frame, where no three samples in a row tell; nothing that moves needs less than a 10^-5th.
-    drive = np.where(np.isnan(drive), (0.01 * scale) ** 2, np.maximum(drive, (1e-5 * scale) ** 2))
-    agreeing = np.median(bones.share[bones.rigid]) if bones.rigid.any() else 0.9
-
-    def array(value):
-        return jnp.asarray(value, np.float64)
-
-    solver = Smoother(
-        evidence=array(np.pad(together, ((0, stored - len(together)), (0, 0)))),
-        drive=array(drive),
-        scale=array(scale),
-        outlier_share=array(float(np.clip(1 - np.sqrt(agreeing), 0.02, 0.95))),
-        noise_max=array(noise_max),
-        tolerance=array(0.02),
-    )
+    drive = body.drive(clip.merged[span], clip.merged_weights[span] > 0)
+    solver = body.smoother(told, stored, drive, tolerance=0.02)
     return run(solve, {"solver": solver, "problem": problem}, {"max_steps": max_steps}, seconds), origin
 
 
 def _predicted(positions, kept, gaps, edges, poses):
     """What the other joints say of gaps: see `estimate.Predict`."""
-    body = None
+    people = None
     if poses is not None and run_lengths(~kept).max() >= regression.LONG:
         distances = median_distances(np.where(kept[..., None], positions, np.nan))
-        body = proportioned(poses.thinned(POSES), distances).positions
-    return predict_missing(positions, kept, bone_distance(edges, positions.shape[1]), gaps, body)
+        people = proportioned(poses.thinned(POSES), distances).positions
+    return predict_missing(positions, kept, bone_distance(edges, positions.shape[1]), gaps, people)
 
 
 def hopeless(data, solutions, spans, scale):

@@ -23,11 +23,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from motionrecover import robust
+from motionrecover.body import Body
 from motionrecover.estimate import FREE, SHORT, Estimate, fill_gaps, hold, project_blocks
 from motionrecover.evidence import regression
 from motionrecover.evidence.bone_errors import smoothed_lengths
-from motionrecover.evidence.bone_lengths import BoneLengths, estimate_bone_lengths, evidence
-from motionrecover.evidence.drive import estimate_drive
+from motionrecover.evidence.bone_lengths import BoneLengths, estimate_bone_lengths
 from motionrecover.evidence.pose_prior import Poses, median_distances, proportioned
 from motionrecover.intake import fill
 from motionrecover.isometry.objective import Edges
@@ -100,20 +100,17 @@ class Memory:
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
-    """What the memory says about the body."""
+class Learnt:
+    """What the memory says."""
 
-    measured: BoneLengths
-    """Of all samples: they tell which are intact."""
+    body: Body
+    """Of all samples: it tells which are intact."""
     lengths: BoneLengths
     """Of the intact ones: these are held."""
-    scale: float
-    noise_max: float
-    """Infinite where the bones themselves show noise."""
-    tell: bool
-    """Whether lengths tell intact samples from others at all."""
     people: np.ndarray | None
     """(pose, joint, 3): poses of other people with these proportions, NaN where they have no such joint."""
+    frames: int
+    """That there were."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +131,7 @@ class End:
     """Where a window ends, for `follow`; arrays as `solver.filter` takes them."""
 
     arrays: dict[str, Any]
-    body: Body
+    learnt: Learnt
     origin: np.ndarray
     exact: bool
     lost: int
@@ -146,9 +143,7 @@ class Sliding:
     """The state between two windows."""
 
     memory: Memory
-    body: Body | None = None
-    learnt: int = 0
-    """Frames there were when the body was last estimated."""
+    learnt: Learnt | None = None
     beliefs: Beliefs | None = None
     """None: begin with nothing."""
     next: np.ndarray | None = None
@@ -184,25 +179,26 @@ def advance(state: Sliding, plan: Plan, data: np.ndarray, trust: np.ndarray, cou
     near = slice(max(due.start - MARGIN, 0), due.stop + MARGIN)
     with jax.enable_x64(True):
         state = _learn(state, plan, data, count)
-        body = state.body
-        assert body is not None
+        learnt = state.learnt
+        assert learnt is not None
+        body = learnt.body
         solved, origin, hopeless = _solve(state, plan, data, trust, begins)
         found = _estimate(solved, data, trust, origin, hopeless)
         noise = float(np.median(solved.state.noise))
         if not (np.isfinite(noise) and np.isfinite(found.positions).all()):
             return forget(state), np.full((plan.hop, *data.shape[1:]), np.nan)
-        exact = np.isfinite(body.noise_max) or noise < (2 * Smoother.FLOOR * body.scale) ** 2
+        exact = body.exact or noise < (2 * Smoother.FLOOR * body.scale) ** 2
         predict = partial(_predicted, state=state, plan=plan, begins=begins, near=near)
         found = fill_gaps(found, exact, body.scale, predict)
         lost = robust.lost_frames(found.kept)
         unknown = (lost & ~found.kept) | (found.variance > body.scale**2)
         end = None
         if plan.follows and part.stop == plan.window and not hopeless.any():
-            end = _end(found, solved, body, origin, exact, lost)
+            end = _end(found, solved, learnt, origin, exact, lost)
         if state.next is not None:
             found = _faded(found, due, state.next[place], exact)
         block = plan.hop + 2 * MARGIN
-        held, _ = hold(found.of(near), body.lengths, plan.edges, exact, body.scale, block, {"compile": 0, "run": 0})
+        held, _ = hold(found.of(near), learnt.lengths, plan.edges, exact, body.scale, block, {"compile": 0, "run": 0})
     answer, following = np.full((2, plan.hop, *data.shape[1:]), np.nan)
     inner = slice(due.start - near.start, due.stop - near.start)
     answer[place] = np.where(unknown[due, :, None], np.nan, held.positions[inner])
@@ -233,13 +229,12 @@ def follow(end: End, plan: Plan, data: np.ndarray, trust: np.ndarray) -> np.ndar
 
     `data` (frame, joint, 3), NaN where missing, and `trust` (frame, joint): at most 2 `plan.hop` frames.
     """
-    frames, body = len(data), end.body
+    frames, bones, scale = len(data), end.learnt.lengths, end.learnt.body.scale
     pad = (0, 2 * plan.hop - frames), (0, 0)
-    lengths = bone_lengths(data, plan.edges)
     arrays = end.arrays | {
         "samples": np.pad(np.nan_to_num(data - end.origin), (*pad, (0, 0))),
         "confidence": np.pad(trust, pad),
-        "evidence": np.pad(evidence(lengths, body.measured) if body.tell else np.zeros(lengths.shape), pad),
+        "evidence": np.pad(end.learnt.body.evidence(bone_lengths(data, plan.edges)), pad),
     }
     seconds = {"compile": 0.0, "run": 0.0}
     with jax.enable_x64(True):
@@ -250,51 +245,46 @@ def follow(end: End, plan: Plan, data: np.ndarray, trust: np.ndarray) -> np.ndar
     if end.exact:
         position = np.where(kept[:, None], data[last], position)
         spread = np.where(kept[:, None] | kept, 0.0, spread)
-    held = (body.lengths.rigid | (not end.exact)) & np.isfinite(body.lengths.length)
-    slack = np.where(held, 0, (FREE * body.scale) ** 2)
-    length = np.where(held, body.lengths.length, 0)
+    held = (bones.rigid | (not end.exact)) & np.isfinite(bones.length)
+    slack = np.where(held, 0, (FREE * scale) ** 2)
+    length = np.where(held, bones.length, 0)
     with jax.enable_x64(True):
         position = project_blocks(position[None], spread[None], length, slack, plan.edges, 1, seconds)[0][0]
     few = np.sum(intact[:frames] > INTACT, 1) < min(robust.BODY, trust.shape[1])
     run_of_few = frames + end.lost if few.all() else int(np.argmin(few[::-1]))
-    unknown = (variance > body.scale**2) | ((run_of_few > robust.LONG) & ~kept)
+    unknown = (variance > scale**2) | ((run_of_few > robust.LONG) & ~kept)
     return np.where(unknown[:, None], np.nan, position)
 
 
 def _learn(state, plan, data, count):
     """The state with the body estimated anew, every ten frames of the memory and more often at first."""
-    if state.body is not None and count - state.learnt < min(10 * plan.stride, state.learnt):
+    if state.learnt is not None and count - state.learnt.frames < min(10 * plan.stride, state.learnt.frames):
         return state
     memory = state.memory
     seen = np.concatenate([memory.data, data])
     lengths = bone_lengths(seen, plan.edges)
     measured = held = estimate_bone_lengths(lengths)
-    spread = measured.spread[measured.rigid] / np.sqrt(2)
-    usual = float(np.quantile(spread, 0.25)) if len(spread) else np.inf
-    scale = robust.body_scale(seen, measured)
-    exact = usual < Smoother.FLOOR * scale
+    body = Body.of(seen, lengths, measured)
     if len(memory.times) >= SHOWN:
         held = estimate_bone_lengths(bone_lengths(np.where(memory.kept[..., None], memory.data, np.nan), plan.edges))
-        if not exact:
+        if not body.exact:
             held = smoothed_lengths(held, np.nan_to_num(memory.positions), memory.kept * 1.0, plan.edges)
-    tell = bool(np.nanmax(np.abs(lengths - measured.length), initial=0) > Smoother.FLOOR * scale)
     people = None if plan.poses is None else proportioned(plan.poses, median_distances(seen)).positions
-    return replace(state, body=Body(measured, held, scale, usual if exact else np.inf, tell, people), learnt=count)
+    return replace(state, learnt=Learnt(body, held, people, count))
 
 
 def _solve(state, plan, data, trust, begins):
     """Beliefs about these frames, their origin, and whether what is measured is noise in each."""
-    body, frames, observed = state.body, len(data), trust > 0
+    learnt, frames, observed = state.learnt, len(data), trust > 0
+    body = learnt.body
     origin = np.median(data[observed], 0)
     samples = np.where(observed.any(0)[:, None], fill(data) - origin, 0.0)
     pad = (0, plan.window - frames)
     samples, trust = np.pad(samples, (pad, (0, 0), (0, 0))), np.pad(trust, (pad, (0, 0)))
-    lengths = bone_lengths(data, plan.edges)
-    together = evidence(lengths, body.measured) if body.tell else np.zeros(lengths.shape)
     problem = Problem(
         positions=jnp.asarray(samples.transpose(2, 1, 0)),
         weights=jnp.asarray(trust.T),
-        bone_lengths=jnp.asarray(body.lengths.length),
+        bone_lengths=jnp.asarray(learnt.lengths.length),
         frames=jnp.asarray(frames, jnp.int32),
         edges=plan.edges,
     )
@@ -302,38 +292,24 @@ def _solve(state, plan, data, trust, begins):
     if old is not None:
         grown = measured >= 2 * old.trained and 2 * old.trained <= plan.window
         old = None if grown or begins >= old.first + old.frames else old
-    agreeing = np.median(body.measured.share[body.measured.rigid]) if body.measured.rigid.any() else 0.9
-    share = float(np.clip(1 - np.sqrt(agreeing), 0.02, 0.95))
-    before = _nothing(data, observed, samples, body.scale, share) if old is None else _shifted(old, begins, plan.steps)
-
-    def array(value):
-        return jnp.asarray(value, np.float64)
-
-    solver = Smoother(
-        evidence=array(np.pad(together, (pad, (0, 0)))),
-        drive=array(np.diag(before.drive)),
-        scale=array(body.scale),
-        outlier_share=array(share),
-        noise_max=array(body.noise_max),
-        tolerance=array(0.02 if old is None else np.inf),
-        beliefs=before,
-    )
+    before = _nothing(data, observed, samples, body) if old is None else _shifted(old, begins, plan.steps)
+    told, tolerance = body.evidence(bone_lengths(data, plan.edges)), 0.02 if old is None else np.inf
+    solver = body.smoother(told, plan.window, np.diag(before.drive), tolerance, before)
     seconds = {"compile": 0.0, "run": 0.0}
     solution = run(solve, {"solver": solver, "problem": problem}, {"max_steps": COLD_STEPS}, seconds)
     hopeless = robust.hopeless(data, [solution], [slice(0, frames)], body.scale)
     return Beliefs(solution.state, begins, frames, measured if old is None else old.trained), origin, hopeless
 
 
-def _nothing(data, observed, samples, scale, share):
+def _nothing(data, observed, samples, body):
     """What is believed before anything is."""
-    drive = estimate_drive(data, observed)
-    drive = np.where(np.isnan(drive), (0.01 * scale) ** 2, np.maximum(drive, (1e-5 * scale) ** 2))
+    drive = body.drive(data, observed)
     frames, joints, _ = samples.shape
-    hot = (Smoother.HOT * scale) ** 2
+    hot = (Smoother.HOT * body.scale) ** 2
     nowhere = np.zeros((frames, joints, joints))
     unjudged = np.full((frames, joints), np.nan)
     level = np.full(joints, hot)
-    arrays = samples, nowhere, unjudged, np.diag(drive), np.ones(frames), level, hot, share, 0
+    arrays = samples, nowhere, unjudged, np.diag(drive), np.ones(frames), level, hot, body.outlier_share, 0
     return SmootherState(*map(jnp.asarray, arrays))
 
 
@@ -392,7 +368,7 @@ def _predicted(positions, kept, gaps, state, plan, begins, near):
         np.concatenate([known, kept]),
         regression.bone_distance(plan.edges, kept.shape[1]),
         np.concatenate([np.zeros_like(known), wanted]),
-        state.body.people,
+        state.learnt.people,
         np.concatenate([memory.times[old], np.arange(begins, begins + frames)]),
         VIEWS,
         KERNELS,
@@ -412,10 +388,10 @@ def _faded(found, due, before, exact):
     return replace(found, positions=positions)
 
 
-def _end(found, solved, body, origin, exact, lost):
+def _end(found, solved, learnt, origin, exact, lost):
     """Where the window ends: its last frame holds what gaps were filled with."""
-    state, frames = solved.state, len(found.trust)
-    far = (Smoother.MISSING * body.scale) ** 2
+    state, frames, scale = solved.state, len(found.trust), learnt.body.scale
+    far = (Smoother.MISSING * scale) ** 2
     noise = np.where(found.kept, state.noise / np.maximum(found.trust, 1e-3), far)
     noise[-1] = np.where(found.kept[-1], noise[-1], np.maximum(found.variance[-1], state.noise))
     samples = np.where(found.kept[..., None], found.merged, found.positions) - origin
@@ -426,7 +402,7 @@ def _end(found, solved, body, origin, exact, lost):
         "noise": np.pad(noise, (pad, (0, 0)), constant_values=far),
         "activity": np.pad(state.activity[:frames], pad, mode="edge"),
         "drive": state.drive,
-        "start": np.array((Smoother.FREE * body.scale) ** 2),
+        "start": np.array((Smoother.FREE * scale) ** 2),
     }
     arrays = {
         "state": run(filter.behind, arrays, {}, {"compile": 0.0, "run": 0.0}),
@@ -434,6 +410,6 @@ def _end(found, solved, body, origin, exact, lost):
         "noise": state.noise,
         "outlier": state.outlier,
         "outlier_share": state.outlier_share,
-        "scale": np.array(body.scale),
+        "scale": np.array(scale),
     }
-    return End(arrays, body, origin, exact, int(run_lengths(lost)[-1, 0]))
+    return End(arrays, learnt, origin, exact, int(run_lengths(lost)[-1, 0]))

@@ -26,7 +26,7 @@ LAYERS = [
     {"solver", "isometry"},
     {"evidence"},
     {"presets", "programs", "intake", "windows", "io", "refine", "poses"},
-    {"estimate", "robust", "finishing", "sliding"},
+    {"body", "estimate", "robust", "finishing", "sliding"},
     {"recovery", "stream"},
     {"many"},
     {"figures", "report", "view"},

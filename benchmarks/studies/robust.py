@@ -43,7 +43,7 @@ import numpy as np
 
 from benchmarks.recordings import data_folder
 from benchmarks.suite import clips, measure, methods, rows
-from motionrecover import estimate, programs, robust
+from motionrecover import body, estimate, programs
 from motionrecover.io.atomic import write_beside
 from motionrecover.solver import smoother
 from motionrecover.solver.smoother import Smoother
@@ -70,7 +70,7 @@ VARIANTS: dict[str, tuple[Change, ...]] = {
     "no annealing": ((Smoother, "HOT", Smoother.COLD),),
     "outliers from 2 mm": ((Smoother, "GROSS", 0.01),),
     "one noise level": ((smoother, "USUAL", 1e9),),
-    "bones do not vouch": ((robust, "evidence", lambda lengths, bones: np.zeros_like(lengths)),),
+    "bones do not vouch": ((body, "evidence", lambda lengths, bones: np.zeros_like(lengths)),),
     "no regression": ((estimate, "SHORT", 10**9),),
     "gaps not steadied": ((estimate, "whittaker", lambda positions, variance, drive: positions),),
     "bones not held": ((estimate, "project_blocks", unheld),),
