@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from motionrecover.motion import Motion
-from motionrecover.recovery import Recovery, RecoveryError, recover
+from motionrecover.recovery import Recovery, RecoveryError, recover_motion
 
 AHEAD = 2
 """Clips a worker that are read before the next answer is taken: a long clip does not stop the workers behind it."""
@@ -61,9 +61,8 @@ def _outcomes(clips, workers, settings):
 
 def _outcome(index, clip, settings):
     """One clip's; only what a clip can be guilty of is caught."""
-    masks = {"observed": clip.observed, "confidence": clip.confidence, "fps": clip.fps}
     try:
-        recovery = recover(clip.positions, clip.skeleton, **masks, **settings)
+        recovery = recover_motion(clip, **settings)
     except (ValueError, RecoveryError) as error:
         return Outcome(index, None, str(error))
     return Outcome(index, recovery, None)

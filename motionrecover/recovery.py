@@ -12,6 +12,7 @@ import numpy as np
 from motionrecover import finishing, intake, poses, robust, windows
 from motionrecover.evidence.bone_lengths import mirrored_bones
 from motionrecover.evidence.swaps import Swap, find_swaps, undo
+from motionrecover.motion import Motion
 from motionrecover.presets import Preset, Robust, find
 from motionrecover.programs import bucket, run
 from motionrecover.robust import Change
@@ -159,21 +160,26 @@ def recover(
             raise ValueError("received a refiner as guide without fps: give frames a second")
         if guide_rounds < 1:
             raise ValueError(f"received guide_rounds {guide_rounds}: give at least 1")
-        refiner: Any = guide
-        asked = guide_rounds if callable(guide) else 0
-        if asked:
+        refiner: Any = guide if callable(guide) else None
+        if refiner:
             guide = refiner(D, skeleton, observed=observed, fps=fps).positions
-        recovery = _published(*arguments, preset, steps, dtype, fps, guide, guide_confidence, progress)
-        for _ in range(asked - 1):
-            if _useless(recovery.result):
+        while True:
+            recovery = _published(*arguments, preset, steps, dtype, fps, guide, guide_confidence, progress)
+            guide_rounds -= 1
+            if refiner is None or guide_rounds == 0 or _useless(recovery.result):
                 break
             guide = refiner(recovery.positions, skeleton, fps=fps, keep_observed=False).positions
-            recovery = _published(*arguments, preset, steps, dtype, fps, guide, guide_confidence, progress)
     if throw and _useless(recovery.result):
         raise RecoveryError(recovery.message)
     if verbose:
         _print_trace(recovery)
     return recovery
+
+
+def recover_motion(motion: Motion, **options: Any) -> Recovery:
+    """`recover` for a clip, with its own skeleton, masks and rate; `options` are those of `recover`."""
+    masks = {"observed": motion.observed, "confidence": motion.confidence}
+    return recover(motion.positions, motion.skeleton, fps=motion.fps, **masks, **options)
 
 
 def _robust(

@@ -21,7 +21,7 @@ from motionrecover.batch.manifest import DONE, FAILED, Record
 from motionrecover.io import format_of, save
 from motionrecover.io.atomic import write_folder_beside
 from motionrecover.io.bvh_out import posed
-from motionrecover.recovery import RecoveryError, recover
+from motionrecover.recovery import RecoveryError, recover_motion
 from motionrecover.report import write_report
 
 FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -127,9 +127,7 @@ def _recovered(
     """Answer and page of a clip, written, and what the record says about them."""
     as_bvh = job.format == "bvh"
     clip, kind, lengths = files.take_in(source, settings.bone_lengths, as_bvh=as_bvh, **settings.reading)
-    masks = {"observed": clip.observed, "confidence": clip.confidence, "fps": clip.fps}
-    given = {"preset": settings.preset, "bone_lengths": lengths, **settings.recovery}
-    recovery = recover(clip.positions, clip.skeleton, **masks, **given)
+    recovery = recover_motion(clip, preset=settings.preset, bone_lengths=lengths, **settings.recovery)
     answer = files.answer(clip, recovery, settings.preset, digest)
     written = posed(answer) if as_bvh else answer
     if claim is not None:

@@ -30,7 +30,7 @@ from motionrecover.io import MotionFormatError, from_xarray, to_xarray, write_be
 from motionrecover.io.border import counted, refuse_swollen
 from motionrecover.io.movement import DIMS
 from motionrecover.motion import Motion
-from motionrecover.recovery import recover
+from motionrecover.recovery import recover_motion
 
 if TYPE_CHECKING:
     import xarray
@@ -170,8 +170,7 @@ def _recovered(take, span, individual, preset, bone_lengths, recovery, of):
         nothing = np.full(clip.positions.shape, np.nan, dtype), np.full(clip.observed.shape, NEAR)
         return unseen(of.stop - of.start, len(clip.names)), *nothing
     _, lengths = files.lengths_for(clip, bone_lengths, take.path)
-    masks = {"observed": clip.observed, "confidence": clip.confidence, "fps": clip.fps}
-    found = recover(clip.positions, clip.skeleton, preset=preset, bone_lengths=lengths, **masks, **recovery)
+    found = recover_motion(clip, preset=preset, bone_lengths=lengths, **recovery)
     # The published models do not say how certain they are.
     trust = 1 / np.maximum(np.nan_to_num(found.uncertainty, nan=1.0, posinf=1 / NEAR), NEAR) ** 2
     return facts_of(clip, found, found.positions, of), found.positions, trust

@@ -177,10 +177,9 @@ def run(
 
 
 def _recover(clip: Motion, preset: str, **chosen: Any) -> Recovery:
-    from motionrecover.recovery import recover
+    from motionrecover.recovery import recover_motion
 
-    masks = {"observed": clip.observed, "confidence": clip.confidence}
-    return recover(clip.positions, clip.skeleton, preset=preset, fps=clip.fps, **masks, **chosen)
+    return recover_motion(clip, preset=preset, **chosen)
 
 
 class _Checked(Exception):
