@@ -76,10 +76,8 @@ def shipped() -> Poses:
 
 def with_mirror_images(positions: np.ndarray, bodies: np.ndarray) -> Poses:
     """Poses from positions (pose, joint, 3) of the joints `NAMES`, x to the side, of bodies numbered from 0."""
-    other = np.arange(len(NAMES))
-    for left, right in Skeleton(NAMES, []).mirror:
-        other[left], other[right] = right, left
-    return Poses(np.concatenate([positions, positions[:, other] * [-1, 1, 1]]), np.concatenate([bodies, -1 - bodies]))
+    mirrored = positions[:, list(Skeleton(NAMES, []).other_side)] * [-1, 1, 1]
+    return Poses(np.concatenate([positions, mirrored]), np.concatenate([bodies, -1 - bodies]))
 
 
 @lru_cache(maxsize=1)

@@ -174,6 +174,14 @@ class Skeleton:
         return tuple(pairs)
 
     @property
+    def other_side(self) -> tuple[int, ...]:
+        """Of each joint the one that `mirror` pairs it with; itself where there is none."""
+        other = list(range(len(self.names)))
+        for left, right in self.mirror:
+            other[left], other[right] = right, left
+        return tuple(other)
+
+    @property
     def components(self) -> list[list[int]]:
         """Groups of joints that bones connect, each sorted, in order of their first joint."""
         return components(self.edges, len(self.names))

@@ -185,9 +185,7 @@ def symmetric(bones: BoneLengths, pairs: Iterable[tuple[int, int]]) -> BoneLengt
 
 def mirrored_bones(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
     """Pairs (left, right) of bones whose joints are mirrored, for `symmetric`."""
-    other = {joint: joint for joint in range(len(skeleton.names))}
-    for left, right in skeleton.mirror:
-        other |= {left: right, right: left}
+    other = skeleton.other_side
     index = {frozenset(edge): bone for bone, edge in enumerate(skeleton.edges)}
     lefts = {left for left, _ in skeleton.mirror}
     pairs = []

@@ -162,14 +162,13 @@ def candidates(skeleton: Skeleton) -> list[tuple[tuple[int, int], ...]]:
     The left/right pairs of `Skeleton.mirror`, each alone and with all pairs beyond it (an arm from the elbow on), and
     the two joints of each bone.
     """
-    mirror = skeleton.mirror
-    other = dict(mirror) | {right: left for left, right in mirror}
+    mirror, other = skeleton.mirror, skeleton.other_side
     neighbours: list[list[int]] = [[] for _ in skeleton.names]
     for i, j in skeleton.edges:
         neighbours[i].append(j)
         neighbours[j].append(i)
     # Bones to the nearest joint that has no other side: what is beyond a joint is farther than it.
-    ring = [joint for joint in range(len(skeleton.names)) if joint not in other]
+    ring = [joint for joint in range(len(skeleton.names)) if other[joint] == joint]
     depth = dict.fromkeys(ring, 0)
     while ring:
         ring = [k for joint in ring for k in neighbours[joint] if depth.setdefault(k, depth[joint] + 1) > depth[joint]]
@@ -178,10 +177,10 @@ def candidates(skeleton: Skeleton) -> list[tuple[tuple[int, int], ...]]:
     for left, _ in mirror:
         limb = [left]
         for joint in limb:  # grows while it is read
-            beyond = [k for k in neighbours[joint] if k in other and depth.get(k, 0) > depth.get(joint, 0)]
+            beyond = [k for k in neighbours[joint] if other[k] != k and depth.get(k, 0) > depth.get(joint, 0)]
             limb += [k for k in beyond if k not in limb and other[k] not in limb]
         limbs.append(tuple((joint, other[joint]) for joint in limb))
-    bones = [((i, j),) for i, j in skeleton.edges if other.get(i) != j]
+    bones = [((i, j),) for i, j in skeleton.edges if other[i] != j]
     return list(dict.fromkeys([*(((pair),) for pair in mirror), *limbs, *bones]))
 
 

@@ -27,8 +27,6 @@ def augmented(
     """Other windows, each changed in its own way."""
     length, side, order, turn = jax.random.split(key, 4)
     parents, (left, right) = skeleton.parents, (np.array(skeleton.mirror, int).reshape(-1, 2)).T
-    swapped = np.arange(len(parents))
-    swapped[left], swapped[right] = right, left
 
     stretch = jnp.log1p(SPREAD) * jax.random.uniform(length, (len(clean), len(parents)), jnp.float32, -1, 1)
     stretch = jnp.exp(stretch.at[:, right].set(stretch[:, left]))
@@ -37,7 +35,7 @@ def augmented(
     bones = jnp.where(roots[:, None], clean, stretch[:, None, :, None] * (clean - clean[:, :, up]))
     y = jnp.einsum("ja,btac->btjc", _ancestors(parents), bones)
 
-    mirrored = y[:, :, swapped] * jnp.array([-1.0, 1, 1], y.dtype)
+    mirrored = y[:, :, np.array(skeleton.other_side)] * jnp.array([-1.0, 1, 1], y.dtype)
     y = jnp.where(jax.random.bernoulli(side, 0.5, (len(y), 1, 1, 1)), mirrored, y)
     y = jnp.where(jax.random.bernoulli(order, 0.5, (len(y), 1, 1, 1)), y[:, ::-1], y)
     angle = jax.random.uniform(turn, (len(y), 1, 1), jnp.float32, -TURN, TURN)
