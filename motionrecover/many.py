@@ -11,6 +11,7 @@ from typing import Any
 
 from motionrecover.motion import Motion
 from motionrecover.recovery import Recovery, RecoveryError, recover_motion
+from motionrecover.threads import one_blas_thread
 
 AHEAD = 2
 """Clips a worker that are read before the next answer is taken: a long clip does not stop the workers behind it."""
@@ -37,7 +38,8 @@ def recover_many(clips: Iterable[Motion], *, workers: int | None = None, **setti
     ends it when the clips at hand are done, and what was yielded stays.
 
     The workers are threads: compiled programs let each other run, and a clip that takes more steps than others keeps
-    only its own worker, which in one batched program would keep all. An answer is that of `recover`.
+    only its own worker, which in one batched program would keep all. BLAS has one thread until the last outcome is out.
+    An answer is that of `recover`.
     """
     workers = processors() if workers is None else workers
     if workers < 1:
@@ -48,15 +50,16 @@ def recover_many(clips: Iterable[Motion], *, workers: int | None = None, **setti
 def _outcomes(clips, workers, settings):
     pool = ThreadPoolExecutor(workers)
     waiting: deque[Future[Outcome]] = deque()
-    try:
-        for index, clip in enumerate(clips):
-            waiting.append(pool.submit(_outcome, index, clip, settings))
-            while waiting and (waiting[0].done() or len(waiting) >= AHEAD * workers):
+    with one_blas_thread():
+        try:
+            for index, clip in enumerate(clips):
+                waiting.append(pool.submit(_outcome, index, clip, settings))
+                while waiting and (waiting[0].done() or len(waiting) >= AHEAD * workers):
+                    yield waiting.popleft().result()
+            while waiting:
                 yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
 
 
 def _outcome(index, clip, settings):

@@ -20,6 +20,7 @@ from motionrecover.runs import run_lengths
 from motionrecover.skeleton import Skeleton
 from motionrecover.solver import Result, Solution, solve
 from motionrecover.solver.smoother import INTACT
+from motionrecover.threads import one_blas_thread
 
 TRUST = 0.01
 """Metres. A published model's sample that was moved farther counts as repaired, and less than fully trusted."""
@@ -85,6 +86,7 @@ class Recovery:
         return bool(self.result == Result.converged)
 
 
+@one_blas_thread()
 def recover(
     D: Any,
     skeleton: Skeleton,

@@ -36,6 +36,7 @@ from motionrecover.runs import run_lengths, runs_of
 from motionrecover.skeleton import bone_lengths
 from motionrecover.solver import Problem, Smoother, SmootherState, filter, solve
 from motionrecover.solver.smoother import INTACT, SETTLE
+from motionrecover.threads import one_blas_thread
 
 MEMORY = 192
 """Frames of the memory."""
@@ -162,6 +163,7 @@ def forget(state: Sliding) -> Sliding:
     return replace(state, beliefs=None, next=None, end=None)
 
 
+@one_blas_thread()
 def advance(state: Sliding, plan: Plan, data: np.ndarray, trust: np.ndarray, count: int) -> tuple[Sliding, np.ndarray]:
     """The next state, and the frames that are due: (`plan.hop`, joint, 3), NaN where unknown.
 

@@ -16,6 +16,7 @@ LAYERS = [
         "rotations",
         "source",
         "runs",
+        "threads",
         "whittaker",
         "prox",
         "wavelets",

@@ -9,8 +9,8 @@ speed: the recordings are all of `cmu/npz`, `cmu/bvh` and `cmu/amc`, each as it 
 
     warm-up    one clip of each kind (skeleton and stored length) is recovered first, so that every program is in the
                folder that all processes share, as for any batch but a user's first
-    alone      this process recovers clip after clip
-    batch      the same on the workers, start of the processes included; `speed` is alone over batch
+    alone      one worker recovers clip after clip
+    batch      the same on all workers; `speed` is alone over batch, start of the processes included in both
     load       of the machine before each, since both are wall-clock times
     failed     clips without an answer, with the reason
     equal      answers of the same bytes as alone
@@ -112,7 +112,7 @@ def compare(jobs: list[Job], workers: int, place: Path) -> dict:
     settings = Settings(programs=str(place / "programs"))
     run(one_of_each_kind(jobs), place / "warm", settings, here)
     seconds, load_before = {}, {}
-    for name, executor in (("alone", here), ("batch", Processes(workers))):
+    for name, executor in (("alone", Processes(1)), ("batch", Processes(workers))):
         load_before[name] = os.getloadavg()[0]
         start = time.perf_counter()
         run(jobs, place / name, settings, executor)
