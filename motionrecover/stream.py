@@ -8,12 +8,14 @@ from typing import Any
 import numpy as np
 
 from motionrecover import intake, poses, sliding
+from motionrecover.evidence.regression import FRAMES
 from motionrecover.skeleton import Skeleton
 
-HURRY, LEISURE, PATIENCE = (40, 4), (120, 6), (120, 12)
-"""Frames of a window before the one that is asked for, and steps of the smoother in it. A CMU clip with 20 % displaced
-samples at 120 Hz, 0.25 s: 0.036 mm with 2 steps, 0.029 with 4, 0.038 with 160 frames and 2 steps (`recover`: 0.028). At
-30 Hz, 1 s: 0.126 mm with 40 frames and 4 steps, 0.114 with 120 and 10 (0.109)."""
+HURRY, LEISURE, PATIENCE = (40, 4, FRAMES[1:2]), (120, 6, FRAMES[1:2]), (180, 8, FRAMES)
+"""Frames of a window before the one that is asked for, steps of the smoother in it, and views of the regression. A CMU
+clip with 20 % displaced samples at 120 Hz, 0.25 s: 0.036 mm with 2 steps, 0.029 with 4, 0.038 with 160 frames and 2
+steps (`recover`: 0.028). Four at 30 Hz, 1 s: 0.132 mm with 120 frames, 12 steps and a view, 0.130 with 180, 8 and all
+(0.119); `mixed` 3.41 and 3.39 mm (2.94), and 3.31 with a window every quarter of the delay, which takes too long."""
 ENOUGH = 0.25
 """Seconds from one window to the next that are enough for the second pair, and for the third at up to `SLOW` Hz."""
 SLOW = 60.0
@@ -64,7 +66,7 @@ class Stream:
         hop = frames // 3 if frames else max(1, round(HOP * fps))
         # A window's answer is due when the next one begins. Without a delay it is not given out, but remembered.
         back = frames - hop + 1 if frames else 2 * hop + 1
-        history, steps = HURRY if hop < ENOUGH * fps else PATIENCE if fps <= SLOW else LEISURE
+        history, steps, views = HURRY if hop < ENOUGH * fps else PATIENCE if fps <= SLOW else LEISURE
         people = poses.poses_of(skeleton.names)
         self._plan = sliding.Plan(
             edges=skeleton.edges,
@@ -74,6 +76,7 @@ class Stream:
             back=back,
             stride=max(1, round(EVERY * fps)),
             steps=steps,
+            views=views,
             follows=frames == 0,
         )
         joints = len(skeleton.names)
