@@ -1,7 +1,7 @@
 """One thread for BLAS while its work is many small matrices.
 
 OpenBLAS splits a product of a few thousand numbers, and its threads then wait for one another: with two of them a clip
-of 300 frames took `robust` 1.3 s, with one 0.5 s. Sums come out in the same order whatever the machine, too, so that an
+of 300 frames took `robust` 1.3 s, with one 0.5 s. Sums come out in the same order on one processor and on many, too: an
 answer is the same bit for bit in a process with many threads and in a worker with one.
 """
 

@@ -35,8 +35,10 @@ unlike its walks, dances and sports it promises too much. A joint hidden in the 
 are given the true bone lengths, poses guess them ({clips} clips, {seeds} seed):"""
 
 STREAM = """`Stream` beside `recover` on the whole clip, and beside what is simple: cmu25, {clips} clips a row of
-{frames} frames, from the second second on; all samples, and missing ones in rows that make gaps. The running median has
-5 frames; it, hold and the one-euro filter hold the last sample over gaps."""
+{frames} frames, from the second second on; all samples, those of the second half, and missing ones in rows that make
+gaps. `recover` up to 1 s has all that came until a second after each frame, which is what can be known by then: of the
+body and its motion a stream knows the past, and of a gap often one end. The running median has 5 frames; it, hold and
+the one-euro filter hold the last sample over gaps."""
 TIMES = """Joined recordings at their rate on one core, a delay of 0.25 s: the time of `push` as a share of a frame's,
 and what its own thread worked of it; load is the processor time of all threads over the time of the frames."""
 
@@ -135,14 +137,14 @@ def _unseen(skeletons: dict) -> str:
 
 
 def _streams(rows: dict) -> str:
-    methods = ("recover", "1 s", "0.25 s", "0 s", "hold last", "running median", "one-euro")
+    methods = ("recover", "recover up to 1 s", "1 s", "0.25 s", "0 s", "hold last", "running median", "one-euro")
     lines = [
-        [f"{row}, {kind} samples", *(_number(found[method][kind]) for method in methods)]
+        [f"{row}, {what}", *(_number(found[method][kind]) for method in methods)]
         for row, found in rows.items()
-        for kind in ("all", "missing")
+        for kind, what in (("all", "all samples"), ("later", "second half"), ("missing", "missing samples"))
         if kind in found["recover"]
     ]
-    return table(["protocol, rate", "`recover`", *methods[1:]], lines)
+    return table(["protocol, rate", "`recover`", "`recover` up to 1 s", *methods[2:]], lines)
 
 
 def _times(rows: dict) -> str:
