@@ -11,7 +11,7 @@ from motionrecover import intake, poses, sliding
 from motionrecover.evidence.regression import FRAMES
 from motionrecover.skeleton import Skeleton
 
-HURRY, LEISURE, PATIENCE = (40, 4, FRAMES[1:2]), (120, 6, FRAMES), (180, 8, FRAMES)
+HURRY, LEISURE, PATIENCE = (40, 4, FRAMES[1:2]), (120, 6, FRAMES[1:2]), (180, 8, FRAMES)
 """Frames of a window before the one that is asked for, steps of the smoother in it, and views of the regression. A CMU
 clip with 20 % displaced samples at 120 Hz, 0.25 s: 0.036 mm with 2 steps, 0.029 with 4, 0.038 with 160 frames and 2
 steps (`recover`: 0.028). Four at 30 Hz, 1 s: 0.132 mm with 120 frames, 12 steps and a view, 0.130 with 180, 8 and all
