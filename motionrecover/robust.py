@@ -116,12 +116,11 @@ def restore(
         window = preset.window or len(data)
         spans = windows.split(len(data), window, min(preset.overlap, window - 1))
         stored = bucket(spans[0].stop - spans[0].start, preset.window)
-        solved = _in_windows(clip, spans, stored, body, told, max_steps, seconds, progress)
-        positions, covariance, intact, drive, solutions = solved
-        intact = np.where(observed & ~hopeless(data, solutions, spans, scale), intact, 0)
+        found, solutions = _in_windows(clip, spans, stored, body, told, max_steps, seconds, progress)
+        intact = np.where(observed & ~hopeless(data, solutions, spans, scale), found.intact, 0)
         noise = np.median([solution.state.noise for solution in solutions])
         exact = exact or noise < (2 * Smoother.FLOOR * scale) ** 2
-        found = Estimate(clip.merged, clip.merged_weights, positions, covariance, intact, drive)
+        found = replace(found, intact=intact)
         found = fill_gaps(found, exact, scale, partial(_predicted, edges=clip.edges, poses=poses))
         if not given:
             bones = estimate_bone_lengths(bone_lengths(found.measured, clip.edges))
@@ -158,8 +157,8 @@ def verdict(restored: Restored) -> Result:
 
 
 def _in_windows(clip, spans, stored, body, told, max_steps, seconds, progress):
-    """Positions, covariance, intact, drive (frame, ...) blended from the windows', and these without covariance."""
-    found, covariances, probabilities, drives, solutions = [], [], [], [], []
+    """The windows' estimates blended, and their solutions without covariance."""
+    found, covariances, probabilities, drives, levels, solutions = [], [], [], [], [], []
     for span in windows.told(spans, progress):
         solution, origin = _solve(clip, span, stored, body, told[span], max_steps, seconds)
         size, state = span.stop - span.start, solution.state
@@ -167,16 +166,17 @@ def _in_windows(clip, spans, stored, body, told, max_steps, seconds, progress):
         covariances.append(np.asarray(state.covariance)[:size])
         probabilities.append(np.asarray(state.intact)[:size])
         drives.append(np.asarray(state.activity)[:size, None] * np.diag(state.drive))
+        levels.append(np.tile(state.noise, (size, 1)))
         solutions.append(eqx.tree_at(lambda solution: solution.state.covariance, solution, None))
     # By precision, too: a gap that reaches beyond a window is known to the other.
     least = (0.01 * Smoother.FLOOR * body.scale) ** 2
     share = windows.shares(spans, [1 / np.maximum(np.einsum("tjj->tj", P), least) for P in covariances])
-    positions, intact, drive = (windows.blend(x, spans, share) for x in (found, probabilities, drives))
+    positions, intact, drive, noise = (windows.blend(x, spans, share) for x in (found, probabilities, drives, levels))
     covariance = np.zeros((len(positions), *covariances[0].shape[1:]))
     for span, w in zip(spans, share, strict=True):
         root = np.sqrt(w)
         covariance[span] += root[:, :, None] * root[:, None] * covariances.pop(0)
-    return positions, covariance, intact, drive, solutions
+    return Estimate(clip.merged, clip.merged_weights, positions, covariance, intact, drive, noise), solutions
 
 
 def _solve(clip, span, stored, body, told, max_steps, seconds):

@@ -347,6 +347,7 @@ def _estimate(solved, data, trust, origin, hopeless):
         covariance=state.covariance[:frames] * doubt[:, :, None] * doubt[:, None],
         intact=intact,
         drive=state.activity[:frames, None] * np.diag(state.drive),
+        noise=np.tile(state.noise, (frames, 1)),
     )
 
 

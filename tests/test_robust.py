@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import SKELETONS, TOLERANCE, clip, hit, lengths_of
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from motionrecover import PRESETS, Skeleton, corrupt, metrics, recover, synthesize
@@ -86,6 +87,24 @@ def test_gaps_are_filled_or_left():
     assert np.isfinite(np.delete(left.positions, 4, 1)).all()
     assert (left.changed[30:60, 4] == Change.UNKNOWN).all()
     assert "max_gap" in left.message
+
+
+def test_scattered_missing_samples_are_met_as_by_a_spline_or_better():
+    """Points that move alone, and a body whose joints move together."""
+    rng = np.random.default_rng(0)
+    rates, phases = rng.uniform(2, 6, (2, 8, 3)), rng.uniform(0, 2 * np.pi, (2, 8, 3))
+    time = np.arange(200)[:, None, None] / 60
+    alone = 0.1 * np.sin(rates[0] * time + phases[0]) + 0.05 * np.sin(2 * rates[1] * time + phases[1])
+    alone[..., 0] += 0.5 * np.arange(8)
+    loose = Skeleton([f"s{k}" for k in range(8)], [])
+    for truth, skeleton, most in ((alone, loose, 1.1), (TRUTH, SKELETON, 0.5)):
+        missing = rng.random(truth.shape[:2]) < 0.1
+        missing[[0, -1]] = False
+        found = recover(np.where(missing[..., None], np.nan, truth), skeleton, dtype=np.float64)
+        spline, frames = truth.copy(), np.arange(len(truth))
+        for joint, gone in enumerate(missing.T):
+            spline[gone, joint] = CubicSpline(frames[~gone], truth[~gone, joint])(frames[gone])
+        assert error(found, truth)[missing].mean() < most * np.linalg.norm(spline - truth, axis=-1)[missing].mean()
 
 
 def test_a_joint_never_seen_spoils_nothing_and_is_placed_when_asked():
