@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from motionrecover.evidence.bone_lengths import BoneLengths, evidence
@@ -68,7 +67,7 @@ class Body:
         """The solver of frames of which the bones have `told` (frame, bone), as `evidence` says, stored in so many."""
 
         def array(value):
-            return jnp.asarray(value, np.float64)
+            return np.asarray(value, np.float64)
 
         return Smoother(
             evidence=array(np.pad(told, ((0, stored - len(told)), (0, 0)))),

@@ -10,7 +10,6 @@ import warnings
 from dataclasses import dataclass
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from motionrecover.evidence.bone_lengths import LEAST_FRAMES, estimate_bone_lengths
@@ -56,14 +55,14 @@ class Intake:
         if self.guide is not None:
             there, trust = (part[span] for part in self.guide)
             guide = Guide(
-                positions=jnp.asarray(np.pad((there - origin).transpose(2, 1, 0), ((0, 0), (0, 0), pad)), dtype),
-                weights=jnp.asarray(np.pad(trust.T, ((0, 0), pad)), dtype),
+                positions=np.asarray(np.pad((there - origin).transpose(2, 1, 0), ((0, 0), (0, 0), pad)), dtype),
+                weights=np.asarray(np.pad(trust.T, ((0, 0), pad)), dtype),
             )
         return Problem(
-            positions=jnp.asarray(np.pad((merged - origin).transpose(2, 1, 0), ((0, 0), (0, 0), pad)), dtype),
-            weights=jnp.asarray(np.pad(weights.T, ((0, 0), pad)), dtype),
-            bone_lengths=jnp.asarray(self.edge_lengths, dtype),
-            frames=jnp.asarray(len(merged), jnp.int32),
+            positions=np.asarray(np.pad((merged - origin).transpose(2, 1, 0), ((0, 0), (0, 0), pad)), dtype),
+            weights=np.asarray(np.pad(weights.T, ((0, 0), pad)), dtype),
+            bone_lengths=np.asarray(self.edge_lengths, dtype),
+            frames=np.asarray(len(merged), np.int32),
             edges=self.edges,
             guide=guide,
         ), origin

@@ -67,7 +67,6 @@ class Preset:
     def solver(self, problem: Problem) -> Solver:
         """The solver for a problem of one clip; scalars become arrays, so other values compile nothing anew."""
         # Here, so that names and settings are at hand without JAX.
-        import jax.numpy as jnp
         import numpy as np
 
         from motionrecover.solver import Solver
@@ -87,7 +86,7 @@ class Preset:
             raise ValueError(f"received initialisation {self.initialisation!r}: give 'data' or 'printed'")
 
         def array(value):
-            return jnp.asarray(value, dtype)
+            return np.asarray(value, dtype)
 
         return Solver(
             outlier_weight=array(weight),

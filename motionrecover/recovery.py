@@ -367,7 +367,7 @@ def _converged(result):
 
 
 def _useless(result):
-    return bool((result == Result.nothing_observed) | (result == Result.non_finite))
+    return bool(result == Result.nothing_observed) or bool(result == Result.non_finite)
 
 
 def _merge(solutions: Sequence[Solution]) -> Any:
