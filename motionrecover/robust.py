@@ -5,7 +5,8 @@
     3. Outliers, noise level and drive are found with the motion (solver.smoother), in windows that overlap.
     4. Samples without an intact one for some frames are also predicted from the other joints (evidence.regression);
        the two predictions are averaged by their variances. The smoother is sure beside intact samples, the regression
-       in the middle of a gap.
+       in the middle of a gap. In shorter gaps of a clip without noise a spline of the joint's own samples counts beside
+       the smoother.
     5. Inside gaps these are smoothed along time (whittaker): a regression knows frames and no paths. Without it, joints
        jump by up to 5 cm in gaps of a noisy clip.
     6. Positions move onto the bone lengths, uncertain ones first (isometry.projection). A clip without noise shows
