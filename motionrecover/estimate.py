@@ -164,7 +164,7 @@ def _interpolated(found, scale):
 
     One is the smoother's, with what kept samples are off from it interpolated: it knows what moves together. The other
     is the spline of least third differences of a joint's own samples: where nothing moves together, as markers on skin,
-    it is better by up to a half. They count, joint by joint, by error^-4 on kept samples, which are hidden a part at a
+    it is better by up to a half. They count, joint by joint, by error^-8 on kept samples, which are hidden a part at a
     time. The smoother's error on a hidden sample is its residual / (1 - P / s^2), P its variance with the sample
     (leave-one-out: Wahba, "Spline Models for Observational Data", 1990, Sec. 4.2). Beyond the first and last kept
     sample, where a spline runs away, the smoother is alone.
@@ -187,7 +187,7 @@ def _interpolated(found, scale):
         hidden = kept & ~rest & _between(rest)
         for which, error in enumerate((left_out - bridged(rest), start - spline(rest))):
             errors[which] += np.where(hidden, (error**2).sum(-1), 0).sum(0)
-    first, second = (errors / np.maximum(errors.max(0), np.finfo(float).tiny)) ** 2
+    first, second = (errors / np.maximum(errors.max(0), np.finfo(float).tiny)) ** 4
     share = np.where(_between(kept), first / np.maximum(first + second, 1), 0)
     smoothed = found.positions + bridged(kept)
     return smoothed + share[..., None] * (spline(kept) - smoothed)
