@@ -134,9 +134,11 @@ def _starting(rows: dict, found: list[dict]) -> str:
         ["`import motionrecover`", f"{importing['motionrecover']:.2f} s, {importing['ratio']:.2f} of `import jax`"],
     ]
     for name, ratio in command["ratio"].items():
-        preset, cache = name.split()
-        seconds = f"{command['seconds'][name]:.1f} s, {ratio:.1f} of a process that compiles x + 1"
-        lines.append([f"command, 300 frames, `{preset}`, {cache} cache", seconds])
+        what = "that process, with the packages that the command needs"
+        if name != "packages":
+            preset, cache = name.split()
+            what = f"command, 300 frames, `{preset}`, {cache} cache"
+        lines.append([what, f"{command['seconds'][name]:.1f} s, {ratio:.1f} of a process that compiles x + 1"])
     for name in ("recover_many", "recover"):
         row = many[name]
         how = f"{many['clips']} clips with `{name}`" + (f" on {many['processors']} cores" if "_" in name else "")
