@@ -257,3 +257,6 @@ def test_command(tmp_path, monkeypatch, capsys):
 
 def test_the_page_is_what_the_committed_results_say():
     assert page.render() == page.PAGE.read_text(encoding="utf-8")
+    text = page.README.read_text(encoding="utf-8")
+    assert page.readme(text) == text
+    assert all(words in text for words in page.SHORT.values())

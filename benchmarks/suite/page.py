@@ -1,4 +1,4 @@
-"""`docs/robust.md`, made of the committed results of the suite and of the studies of `robust`.
+"""`docs/robust.md` and a table of README.md, made of the committed results of the suite and the studies of `robust`.
 
 python -m benchmarks.suite.page
 """
@@ -6,6 +6,7 @@ python -m benchmarks.suite.page
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 from benchmarks.markdown import table
@@ -13,7 +14,7 @@ from motionrecover.io.atomic import write_beside
 
 HERE = Path(__file__).parent
 STUDIES = HERE.parent / "studies" / "results"
-PAGE = HERE.parents[1] / "docs" / "robust.md"
+README, PAGE = HERE.parents[1] / "README.md", HERE.parents[1] / "docs" / "robust.md"
 TITLE = """# What `robust` does to recordings, measured
 
 Made by `python -m benchmarks.suite.page` from committed results. One command each measures them anew:
@@ -28,7 +29,9 @@ KINECT = """Tracked samples count with confidence 1, inferred ones with 0.3. Bon
 bone's length over its mean. Jitter: second differences of joints that barely move, before over after. Hidden: distance
 from tracked samples that were hidden, scattered and in runs of 15 frames. At scattered ones a spline is better: it
 follows the sensor's drift, which constant bones do not."""
-
+MARKERS = """{frames} frames a take, the graph from `infer_graph`; mean distance from hidden samples. In
+`cmu_85_12.c3d` two markers of a shoe part from 7 to 17 cm in twelve frames: `robust` takes them for displaced, and
+hidden samples among them count as errors."""
 POSES = """The package ships poses of 10 people (`poses.npz`), from all CMU recordings at hand. All measurements on this
 page leave the clip's own person out of them. `uncertainty` knows how much people of this database differ: for motions
 unlike its walks, dances and sports it promises too much. A joint hidden in the whole clip, each in turn; straight limbs
@@ -41,6 +44,21 @@ body and its motion a stream knows the past, and of a gap often one end. The run
 the one-euro filter hold the last sample over gaps."""
 TIMES = """Joined recordings at their rate on one core, a delay of 0.25 s: the time of `push` as a share of a frame's,
 and what its own thread worked of it; load is the processor time of all threads over the time of the frames."""
+
+SHORT = {
+    "iid-5 cmu25 120 Hz": "5 % of the samples displaced, 120 Hz",
+    "iid-20 cmu25 120 Hz": "20 % displaced",
+    "iid-80 cmu25 120 Hz": "80 % displaced",
+    "iid-20 cmu25 30 Hz, bones known": "20 % displaced, 30 Hz, bone lengths given",
+    "rand30 cmu25 120 Hz": "30 % missing, here and there",
+    "gap3x60 cmu21 120 Hz": "three gaps of half a second",
+    "gap3x240 cmu21 120 Hz": "three gaps of two seconds",
+    "noise-3 cmu21 120 Hz": "noise of 3 mm",
+    "mixed cmu21 120 Hz": "noise, spikes and gaps at once",
+    "mixed cmu21 30 Hz": "the same at 30 Hz",
+    "clean cmu21 120 Hz": "nothing",
+}
+"""Rows of README.md, as users would call them."""
 
 
 def render() -> str:
@@ -61,9 +79,7 @@ def render() -> str:
         KINECT,
         _kinect(kinect),
         "## Optical markers",
-        f"{markers['frames']} frames a take, the graph from `infer_graph`; mean distance from hidden samples. In",
-        "`cmu_85_12.c3d` two markers of a shoe part from 7 to 17 cm in twelve frames: `robust` takes them for",
-        "displaced, and hidden samples among them count as errors.",
+        MARKERS.format(**markers),
         _markers(markers["rows"]),
         "## What its parts are worth",
         parts_note,
@@ -82,21 +98,41 @@ def render() -> str:
     return "\n\n".join(blocks) + "\n"
 
 
+def readme(text: str) -> str:
+    """README.md with its table made anew."""
+    results = json.loads((HERE / "results.json").read_text(encoding="utf-8"))
+    lines = []
+    for name, words in SHORT.items():
+        scores, headline, best = _scores(results, name)
+        columns = (scores[method][headline]["mean"] for method in ("nothing", best, "robust"))
+        nothing, peer, ours = map(_number, columns)
+        lines.append([words, nothing, f"{peer} ({best})", f"**{ours}**"])
+    found = table(["what happened to it", "do nothing", "best peer", "`robust`"], lines)
+    return re.sub(
+        r"<!-- suite -->\n.*?<!-- suite end -->", f"<!-- suite -->\n{found}\n<!-- suite end -->", text, flags=re.S
+    )
+
+
+def _scores(results: dict, name: str) -> tuple[dict, str, str]:
+    """A row's scores by method, the one that counts in it, and the peer that is best in that."""
+    row = results["rows"][name]
+    headline, scores = row["headline"], {method: summary["scores"] for method, summary in row["methods"].items()}
+    peers = {
+        method: found[headline]["mean"]
+        for method, found in scores.items()
+        if method not in results["ours"] and method != "nothing" and found[headline]["mean"] is not None
+    }
+    return scores, headline, min(peers, key=peers.__getitem__)
+
+
 def _suite(results: dict) -> str:
     rows = []
-    for name, row in results["rows"].items():
-        headline = row["headline"]
-        scores = {method: summary["scores"] for method, summary in row["methods"].items()}
-        peers = {
-            method: found[headline]["mean"]
-            for method, found in scores.items()
-            if method not in results["ours"] and method != "nothing" and found[headline]["mean"] is not None
-        }
-        best = min(peers, key=peers.__getitem__)
+    for name in results["rows"]:
+        scores, headline, best = _scores(results, name)
         ours = scores["robust"]
         error = f"{_number(ours[headline]['mean'])} +- {_number(ours[headline]['error'])}"
         others = [_number(ours[score]["mean"]) for score in ("all", "bone", "acceleration")]
-        rows.append([name, error, *others, f"{_number(peers[best])} {best}"])
+        rows.append([name, error, *others, f"{_number(scores[best][headline]['mean'])} {best}"])
     return table(["protocol, skeleton, rate", "`robust`", "all samples", "bones", "accelerations", "best peer"], rows)
 
 
@@ -159,9 +195,10 @@ def _number(value: float | None) -> str:
 
 
 def main() -> None:
-    """Write the page."""
-    with write_beside(PAGE, overwrite=True) as temporary:
-        temporary.write_text(render(), encoding="utf-8")
+    """Write both."""
+    for path, text in ((PAGE, render()), (README, readme(README.read_text(encoding="utf-8")))):
+        with write_beside(path, overwrite=True) as temporary:
+            temporary.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
