@@ -164,11 +164,11 @@ def _interpolated(found, scale):
     """Positions between kept samples that are exact, from two predictions averaged.
 
     One is the smoother's, with what kept samples are off from it interpolated: it knows what moves together. The other
-    is the spline of least third differences of a joint's own samples, for what moves alone, as markers on skin: with 10 %
-    of the samples missing, 0.27 instead of 0.32 mm, 0.37 of 0.45, 0.04 of 0.07 and 1.25 of 1.40. They count, joint by joint, by error^-8 on kept samples, which are hidden a part at a
-    time. The smoother's error on a hidden sample is its residual / (1 - P / s^2), P its variance with the sample
-    (leave-one-out: Wahba, "Spline Models for Observational Data", 1990, Sec. 4.2). Beyond the first and last kept
-    sample, where a spline runs away, the smoother is alone.
+    is the spline of least third differences of a joint's own samples, for what moves alone, as markers on skin: with
+    10 % of the samples missing, 0.27 instead of 0.32 mm, 0.37 of 0.45, 0.04 of 0.07 and 1.25 of 1.40. They count, joint
+    by joint, by error^-8 on kept samples, which are hidden a part at a time. The smoother's error on a hidden sample is
+    its residual / (1 - P / s^2), P its variance with the sample (leave-one-out: Wahba, "Spline Models for Observational
+    Data", 1990, Sec. 4.2). Beyond the first and last kept sample, where a spline runs away, the smoother is alone.
     """
     kept, far = found.kept, (FREE * scale) ** 2
     residual = np.where(kept[..., None], found.merged - found.positions, 0)
