@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -66,7 +67,7 @@ class Body:
     ) -> Smoother:
         """The solver of frames of which the bones have `told` (frame, bone), as `evidence` says, stored in so many."""
 
-        def array(value):
+        def array(value) -> Any:  # of NumPy: JAX would convert each by a program of its own
             return np.asarray(value, np.float64)
 
         return Smoother(

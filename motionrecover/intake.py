@@ -51,18 +51,24 @@ class Intake:
         known = merged[weights > 0]
         origin = np.median(known, 0) if self.centre and len(known) else np.zeros(3)
         pad = (0, stored - len(merged))
+
+        def array(value, *before) -> Any:  # of NumPy: JAX would convert each by a program of its own
+            return np.pad(value, (*before, pad)).astype(dtype)
+
         guide = None
         if self.guide is not None:
             there, trust = (part[span] for part in self.guide)
             guide = Guide(
-                positions=np.asarray(np.pad((there - origin).transpose(2, 1, 0), ((0, 0), (0, 0), pad)), dtype),
-                weights=np.asarray(np.pad(trust.T, ((0, 0), pad)), dtype),
+                positions=array((there - origin).transpose(2, 1, 0), (0, 0), (0, 0)),
+                weights=array(trust.T, (0, 0)),
             )
+        lengths: Any = self.edge_lengths.astype(dtype)
+        frames: Any = np.asarray(len(merged), np.int32)
         return Problem(
-            positions=np.asarray(np.pad((merged - origin).transpose(2, 1, 0), ((0, 0), (0, 0), pad)), dtype),
-            weights=np.asarray(np.pad(weights.T, ((0, 0), pad)), dtype),
-            bone_lengths=np.asarray(self.edge_lengths, dtype),
-            frames=np.asarray(len(merged), np.int32),
+            positions=array((merged - origin).transpose(2, 1, 0), (0, 0), (0, 0)),
+            weights=array(weights.T, (0, 0)),
+            bone_lengths=lengths,
+            frames=frames,
             edges=self.edges,
             guide=guide,
         ), origin

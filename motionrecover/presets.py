@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from motionrecover.solver import Problem, Solver
@@ -85,7 +85,7 @@ class Preset:
         else:
             raise ValueError(f"received initialisation {self.initialisation!r}: give 'data' or 'printed'")
 
-        def array(value):
+        def array(value) -> Any:  # of NumPy: JAX would convert each by a program of its own
             return np.asarray(value, dtype)
 
         return Solver(

@@ -26,9 +26,8 @@ def whittaker(positions: np.ndarray, variance: np.ndarray, drive: np.ndarray, or
     for joint in range(joints):
         bands = np.zeros((order + 1, frames))
         for apart in range(order + 1):
-            bands[order - apart, apart:] = sum(
-                c[order - i] * c[order - i - apart] * k[i : i + frames, joint] for i in range(order + 1 - apart)
-            )[apart:]
+            for i in range(order + 1 - apart):
+                bands[order - apart, apart:] += c[order - i] * c[order - i - apart] * k[i + apart : i + frames, joint]
         bands[order] += weight[:, joint]
         out[:, joint] = solveh_banded(bands, weight[:, joint, None] * positions[:, joint])
     return out
