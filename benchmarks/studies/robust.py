@@ -79,7 +79,7 @@ VARIANTS: dict[str, tuple[Change, ...]] = {
     "one noise level": ((smoother, "USUAL", 1e9),),
     "bones do not vouch": ((body, "evidence", lambda lengths, bones: np.zeros_like(lengths)),),
     "no regression": ((estimate, "SHORT", 10**9),),
-    "gaps not steadied": ((estimate, "whittaker", lambda positions, variance, drive: positions),),
+    "gaps not steadied": ((estimate, "whittaker", lambda positions, variance, drive, order=2: positions),),
     "bones not held": ((estimate, "project_blocks", unheld),),
 }
 
