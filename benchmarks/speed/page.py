@@ -134,7 +134,7 @@ def _starting(rows: dict, found: list[dict]) -> str:
         ["`import motionrecover`", f"{importing['motionrecover']:.2f} s, {importing['ratio']:.2f} of `import jax`"],
     ]
     for name, ratio in command["ratio"].items():
-        what = "that process, with the packages that the command needs"
+        what = "compiling x + 1, with the packages that the command imports"
         if name != "packages":
             preset, cache = name.split()
             what = f"command, 300 frames, `{preset}`, {cache} cache"
