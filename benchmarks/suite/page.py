@@ -108,9 +108,8 @@ def readme(text: str) -> str:
         nothing, peer, ours = map(_number, columns)
         lines.append([words, nothing, f"{peer} ({best})", f"**{ours}**"])
     found = table(["what happened to it", "do nothing", "best peer", "`robust`"], lines)
-    return re.sub(
-        r"<!-- suite -->\n.*?<!-- suite end -->", f"<!-- suite -->\n{found}\n<!-- suite end -->", text, flags=re.S
-    )
+    begin, end = "<!-- suite: readme -->", "<!-- suite end -->"
+    return re.sub(rf"{begin}\n.*?{end}", f"{begin}\n{found}\n{end}", text, flags=re.DOTALL)
 
 
 def _scores(results: dict, name: str) -> tuple[dict, str, str]:
