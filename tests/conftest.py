@@ -1,6 +1,7 @@
 """What the tests share."""
 
 import os
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from motionrecover.cli import main
 from motionrecover.io import MotionFormatError
 
 jax.config.update("jax_enable_x64", True)  # float32 is asked for where it is tested
+# A shell starts what it puts in the background with Ctrl-C ignored, and so would every process that a test starts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 # Compiling makes the first example of a test slow, and a seeded test is the same test every time.
 settings.register_profile("motionrecover", deadline=None, derandomize=True)
 settings.load_profile("motionrecover")

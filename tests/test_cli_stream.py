@@ -158,7 +158,7 @@ def test_packets_are_recovered_until_ctrl_c(folder):
                 first = json.loads(running.stdout.readline())
                 assert first["frame"] == 0
             running.send_signal(signal.SIGINT)
-            out, err = running.communicate()
+            out, err = running.communicate(timeout=60)
         finally:
             running.kill()
     assert running.returncode == 0
