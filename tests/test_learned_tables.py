@@ -30,7 +30,7 @@ def test_tables_name_rows_and_networks_that_there_are():
         assert set(table.networks) <= NETWORKS.keys()
         for row, found in (table.printed or {}).items():
             assert row in (*table.rows, "mean")
-            assert set(found) <= set(table.networks)
+            assert set(found) <= {*table.networks, *table.beside}
             assert all(len(numbers) == len(table.measures) for numbers in found.values())
     assert {network.model for network in NETWORKS.values()} <= models.MODELS.keys()
 
@@ -48,6 +48,8 @@ def test_a_row_does_what_it_says_and_the_same_for_a_seed(name):
     off = (data - WALK.positions)[~missing]
     if row.sigma and not row.sensor:
         assert off.std() == pytest.approx(row.sigma, rel=0.1)
+    if row.displaced:
+        assert (off != 0).any(-1).mean() == pytest.approx(row.displaced, abs=0.03)
     if not row.noisy:
         assert (off == 0).all()
 

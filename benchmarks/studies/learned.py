@@ -1,4 +1,4 @@
-"""The tables of the learned papers, on people never trained on: Choi et al. 2024, 2 to 6, and Li et al. 2020, 1 and 3.
+"""Tables of networks, on people never trained on: Choi et al. 2024, 2-6, Li et al. 2020, 1 and 3, Yang et al. 2020, V.
 
     python -m benchmarks.studies.learned --train [MINUTES]    trains the networks of the tables, one after the other
     python -m benchmarks.studies.learned [TABLE ...]          measures what the results lack, and renders the page
@@ -93,7 +93,7 @@ def methods_of(row: Row, networks: dict[str, Refiner], mean: np.ndarray) -> dict
         "mean pose": base.mean_pose,
         "robust": base.robust,
     }
-    if any(row.name in rows for rows in GUIDED.values()) and not row.joints:
+    if row.displaced or (any(row.name in rows for rows in GUIDED.values()) and not row.joints):
         found["str_yang2020"] = base.str_yang2020
     for name, refiner in networks.items():
         if row.name in {r for table in TABLES.values() if name in table.networks for r in table.rows}:
