@@ -188,8 +188,9 @@ def many(quick: bool) -> dict[str, Any]:
 
 
 def robust(quick: bool) -> dict[str, Any]:
-    """`robust` on 1000 frames of 24 joints beside Hampel and Butterworth, and beside `str_yang2020`; one core."""
-    from benchmarks.suite.peers_time import hampel_butterworth
+    """`robust` on 1000 frames of 24 joints beside `str_yang2020` and the peers of the suite; one core."""
+    from benchmarks.suite.clips import Clip
+    from benchmarks.suite.methods import PEERS
     from motionrecover import Skeleton, corrupt, metrics, recover
     from motionrecover.synthetic import synthesize
 
@@ -198,10 +199,11 @@ def robust(quick: bool) -> dict[str, Any]:
     truth = np.asarray(motion.positions, float)[:, :24]
     skeleton = Skeleton(motion.skeleton.names[:24], [edge for edge in motion.skeleton.edges if max(edge) < 24])
     data = corrupt.joints(truth, 0.05, seed=0)[0]
+    clip = Clip("made up", truth, skeleton, 120)
     calls: dict[str, Callable[[], np.ndarray]] = {
         "robust": lambda: recover(data, skeleton, fps=120).positions,
         "str_yang2020": lambda: recover(data, skeleton, preset="str_yang2020", fps=120).positions,
-        "hampel + butterworth": lambda: hampel_butterworth(data, 120),
+        **{peer.name: partial(peer.run, data, clip, None) for peer in PEERS if peer.name != "nothing"},
     }
     found = {name: call() for name, call in calls.items()}
     best = dict.fromkeys(calls, np.inf)
