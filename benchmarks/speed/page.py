@@ -194,7 +194,7 @@ def draw(results: dict, path: Path) -> None:
     axes.set(xscale="log", yscale="log", xlabel="frames", ylabel="seconds for 40 iterations, one core")
     axes.set_xticks(frames, [str(x) for x in frames])
     axes.minorticks_off()
-    axes.legend()
+    axes.legend(loc="center left", bbox_to_anchor=(1, 0.5))
     figure.savefig(path, dpi=120)
     plt.close(figure)
 
