@@ -93,7 +93,8 @@ def methods_of(row: Row, networks: dict[str, Refiner], mean: np.ndarray) -> dict
         "mean pose": base.mean_pose,
         "robust": base.robust,
     }
-    if row.displaced or (any(row.name in rows for rows in GUIDED.values()) and not row.joints):
+    shown = {name for table in TABLES.values() if row.name in table.rows for name in table.beside}
+    if "str_yang2020" in shown or (any(row.name in rows for rows in GUIDED.values()) and not row.joints):
         found["str_yang2020"] = base.str_yang2020
     for name, refiner in networks.items():
         if row.name in {r for table in TABLES.values() if name in table.networks for r in table.rows}:

@@ -7,7 +7,7 @@ import json
 import re
 from pathlib import Path
 
-from benchmarks.markdown import table
+from benchmarks.markdown import filled, table
 from benchmarks.studies.learned_tables import BLOCK_COUNTS, COUNTS, GUIDED, NETWORKS, SUFFIXES, TABLES, Table
 from motionrecover.io import write_beside
 from motionrecover.refine.models import parameter_count
@@ -26,12 +26,10 @@ def write(results: dict) -> None:
 def render(results: dict, page: str) -> str:
     """The page with every block written anew. Raises `KeyError` for a marker without a block."""
 
-    def block(found: re.Match) -> str:
-        name = found[1]
-        body = BLOCKS[name](results) if name in BLOCKS else _table(results, TABLES[name])
-        return f"<!-- learned: {name} -->\n{body}\n<!-- learned end -->"
+    def body(name: str) -> str:
+        return BLOCKS[name](results) if name in BLOCKS else _table(results, TABLES[name])
 
-    return re.sub(r"<!-- learned: (\w+) -->\n.*?<!-- learned end -->", block, page, flags=re.DOTALL)
+    return filled(page, body, "learned")
 
 
 def _table(results: dict, shown: Table) -> str:

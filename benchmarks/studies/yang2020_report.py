@@ -5,13 +5,12 @@ A block of a page lies between `<!-- name -->` and `<!-- end -->`, with a name o
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.markdown import table
+from benchmarks.markdown import filled, table
 from benchmarks.studies.yang2020_figures import draw
 from motionrecover.io import write_beside
 
@@ -88,12 +87,12 @@ def write(results: dict) -> None:
 def render(results: dict, page: str) -> str:
     """The page with every block written anew. Raises `ValueError` for a marker without a block."""
 
-    def block(found: re.Match) -> str:
-        if found[1] not in BLOCKS:
-            raise ValueError(f"the page asks for {found[1]!r}: the blocks are {', '.join(BLOCKS)}")
-        return f"<!-- {found[1]} -->\n{BLOCKS[found[1]](results)}\n<!-- end -->"
+    def body(name: str) -> str:
+        if name not in BLOCKS:
+            raise ValueError(f"the page asks for {name!r}: the blocks are {', '.join(BLOCKS)}")
+        return BLOCKS[name](results)
 
-    return re.sub(r"<!-- (\w+) -->\n.*?<!-- end -->", block, page, flags=re.DOTALL)
+    return filled(page, body)
 
 
 def _rates(results: dict) -> list[str]:

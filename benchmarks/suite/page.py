@@ -6,10 +6,9 @@ python -m benchmarks.suite.page
 from __future__ import annotations
 
 import json
-import re
 from pathlib import Path
 
-from benchmarks.markdown import table
+from benchmarks.markdown import filled, table
 from motionrecover.io.atomic import write_beside
 
 HERE = Path(__file__).parent
@@ -108,8 +107,7 @@ def readme(text: str) -> str:
         nothing, peer, ours = map(_number, columns)
         lines.append([words, nothing, f"{peer} ({best})", f"**{ours}**"])
     found = table(["what happened to it", "do nothing", "best peer", "`robust`"], lines)
-    begin, end = "<!-- suite: readme -->", "<!-- suite end -->"
-    return re.sub(rf"{begin}\n.*?{end}", f"{begin}\n{found}\n{end}", text, flags=re.DOTALL)
+    return filled(text, {"readme": found}.__getitem__, "suite")
 
 
 def _scores(results: dict, name: str) -> tuple[dict, str, str]:
