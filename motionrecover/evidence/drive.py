@@ -29,21 +29,30 @@ def estimate_drive(positions: np.ndarray, observed: np.ndarray) -> np.ndarray:
     variance = np.full(positions.shape[1], narrow)
     square = np.where(counted, np.maximum(squares, 1e-12 * wide), 0)
     for _ in range(40):
-        odds = np.log(1 / share - 1) + 1.5 * (np.log(variance / wide) + square / variance - square / wide)
-        intact = counted / (1 + np.exp(np.clip(odds, -500, 500)))
+        intact = counted * _intact(square, share, variance, wide)
         variance = ((intact * square).sum(0) + PRIOR / 2 * narrow) / (intact.sum(0) + PRIOR / 2)
     return variance
 
 
 def _fit(squares, narrow, wide):
     """Log likelihood, variance and share of the narrow part of the mixture."""
-    share, level = 0.5, np.zeros_like(squares)
+    share, total, before = 0.5, squares.sum(), (0.5, narrow, wide)
     for _ in range(60):
-        a = np.log(share) - 1.5 * (np.log(narrow) + squares / narrow)
-        b = np.log(1 - share) - 1.5 * (np.log(wide) + squares / wide)
-        level = np.logaddexp(a, b)
-        intact = np.exp(a - level)
-        share = np.clip(intact.mean(), 1e-4, 1 - 1e-4)
-        narrow = max((intact * squares).sum() / intact.sum(), squares.min())
-        wide = max(((1 - intact) * squares).sum() / max((1 - intact).sum(), 1e-9), narrow)
-    return level.sum(), narrow, share
+        before = share, narrow, wide
+        intact = _intact(squares, *before)
+        part, count = intact @ squares, intact.sum()
+        share = np.clip(count / len(squares), 1e-4, 1 - 1e-4)
+        narrow = max(part / count, squares.min())
+        wide = max((total - part) / max(len(squares) - count, 1e-9), narrow)
+    level = np.logaddexp(0, _odds(squares, *before)) - 1.5 * squares / before[1]
+    return level.sum() + len(squares) * (np.log(before[0]) - 1.5 * np.log(before[1])), narrow, share
+
+
+def _odds(square, share, narrow, wide):
+    """Log odds that a difference is of the wide part."""
+    return np.log(1 / share - 1) + 1.5 * (np.log(narrow / wide) + square * (1 / narrow - 1 / wide))
+
+
+def _intact(square, share, narrow, wide):
+    """Probability that a difference is of the narrow part."""
+    return 1 / (1 + np.exp(np.minimum(_odds(square, share, narrow, wide), 500)))
