@@ -112,7 +112,7 @@ class Robust:
 
     name: str = "robust"
     max_steps: int = 60
-    """Of the smoother in one window. The first 30 only bring the noise level down."""
+    """Of the smoother in one window. The first 15 only bring the noise level down."""
     window: int | None = 400
     """Frames. Longer clips are recovered in overlapping windows: how joints move together changes with what a person
     does. None recovers them whole."""

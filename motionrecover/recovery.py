@@ -78,12 +78,12 @@ class Recovery:
     @property
     def message(self) -> str:
         """The verdict in a sentence."""
-        return Result[self.result]
+        return self.result.message
 
     @property
     def converged(self) -> bool:
         """Whether the iteration came to its end, not only to its last step."""
-        return bool(self.result == Result.converged)
+        return self.result == Result.converged
 
 
 @one_blas_thread()
@@ -277,7 +277,7 @@ def _robust(
     if max_gap is not None:
         positions = np.where(((run_lengths(~trusted) > max_gap) & ~there)[..., None], np.nan, positions)
     unknown = np.isnan(positions[..., 0])
-    if unknown[:, seen].any() and bool(verdict == Result.converged):
+    if unknown[:, seen].any() and verdict == Result.converged:
         verdict = Result.partly_unknown
     moved_back = np.any(np.nan_to_num(raw) != np.nan_to_num(data), -1)
     changed = np.where(there, Change.UNTOUCHED if restored.exact else Change.DENOISED, Change.FILLED)
@@ -334,7 +334,7 @@ def _published(
             positions.append(clip.restore(solution.positions, size) + origin.astype(dtype))
             outliers.append(clip.restore(solution.outliers, size))
             solutions.append(solution)
-    worst = max(solutions, key=lambda solution: (_useless(solution.result), not _converged(solution.result)))
+    worst = max(solutions, key=lambda solution: (_useless(solution.result), solution.result != Result.converged))
     answer = windows.blend(positions, spans)
     if _useless(worst.result):
         answer = np.full_like(answer, np.nan)
@@ -355,19 +355,15 @@ def _published(
         bone_intervals=np.full((len(clip.bone_lengths), 2), np.nan),
         skeleton=skeleton,
         fps=fps,
-        result=worst.result,
+        result=Result(int(worst.result)),
         steps=max(int(solution.steps) for solution in solutions),
         trace=_merge(solutions),
         seconds=seconds,
     )
 
 
-def _converged(result):
-    return bool(result == Result.converged)
-
-
 def _useless(result):
-    return bool(result == Result.nothing_observed) or bool(result == Result.non_finite)
+    return result in (Result.nothing_observed, Result.non_finite)
 
 
 def _merge(solutions: Sequence[Solution]) -> Any:

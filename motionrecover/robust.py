@@ -27,7 +27,6 @@ from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import partial
 
-import equinox as eqx
 import jax
 import numpy as np
 
@@ -148,13 +147,13 @@ def restore(
 
 def verdict(restored: Restored) -> Result:
     """The worst of the windows', or that samples stay unknown."""
-    results = [solution.result for solution in restored.solutions]
+    results = [Result(int(solution.result)) for solution in restored.solutions]
     for result in (Result.nothing_observed, Result.non_finite_input, Result.non_finite):
-        if any(bool(r == result) for r in results):
+        if result in results:
             return result
     if np.isnan(restored.positions).any():
         return Result.partly_unknown
-    return next((r for r in results if not bool(r == Result.converged)), Result.converged)
+    return next((r for r in results if r != Result.converged), Result.converged)
 
 
 def _in_windows(clip, spans, stored, body, told, max_steps, seconds, progress):
@@ -168,7 +167,7 @@ def _in_windows(clip, spans, stored, body, told, max_steps, seconds, progress):
         probabilities.append(np.asarray(state.intact)[:size])
         drives.append(np.asarray(state.activity)[:size, None] * np.diag(state.drive))
         levels.append(np.tile(state.noise, (size, 1)))
-        solutions.append(eqx.tree_at(lambda solution: solution.state.covariance, solution, None))
+        solutions.append(replace(solution, state=replace(state, covariance=None)))
     # By precision, too: a gap that reaches beyond a window is known to the other.
     least = (0.01 * Smoother.FLOOR * body.scale) ** 2
     share = windows.shares(spans, [1 / np.maximum(np.einsum("tjj->tj", P), least) for P in covariances])

@@ -26,7 +26,7 @@ LAYERS = [
     },
     {"solver", "isometry"},
     {"evidence"},
-    {"presets", "programs", "intake", "windows", "io", "refine", "poses"},
+    {"presets", "kept", "programs", "intake", "windows", "io", "refine", "poses"},
     {"body", "estimate", "robust", "finishing", "sliding"},
     {"recovery", "stream"},
     {"many"},

@@ -1,57 +1,128 @@
 """Compiled programs that are kept for other processes, and what happens to damaged ones."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax.experimental.compilation_cache import compilation_cache
 
-from motionrecover import programs
+from motionrecover import kept, load, programs, save, synthesize
 from motionrecover.solver import Result
 from motionrecover.solver.result import Solution
 
 
 def _twice(x, factor):
-    return Solution(2 * x * factor, x, Result.converged, jnp.array(1), None, None)
+    return Solution(2 * x * factor, x, jnp.asarray(Result.converged), jnp.array(1), None, None)
 
 
 @pytest.fixture
-def folder(tmp_path):
-    before = jax.config.jax_compilation_cache_dir, jax.config.jax_persistent_cache_min_compile_time_secs
+def folder(tmp_path, monkeypatch):
+    names = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")
+    before = {name: getattr(jax.config, name) for name in names}
     jax.config.update("jax_compilation_cache_dir", None)
-    programs.keep_in(tmp_path / "cache")
+    monkeypatch.setattr(programs, "_folder", None)
     compilation_cache.reset_cache()
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
     yield tmp_path / "cache"
-    jax.config.update("jax_compilation_cache_dir", before[0])
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", before[1])
+    for name, value in before.items():
+        jax.config.update(name, value)
     compilation_cache.reset_cache()
     programs._compile.cache_clear()
 
 
-def call():
+def keep_in_ours(folder):
+    programs.keep_in(folder)
+    return "*.program"
+
+
+def keep_in_the_users(folder):
+    jax.config.update("jax_compilation_cache_dir", str(folder))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    programs.keep_in(folder)
+    return "*-cache"
+
+
+WAYS = pytest.mark.parametrize("keep", [keep_in_ours, keep_in_the_users])
+
+
+def call(factor=3.0):
     programs._compile.cache_clear()
     jax.clear_caches()
     x = np.arange(6.0).reshape(2, 3)
-    answer = programs.run(_twice, {"x": x}, {"factor": 3.0}, {"compile": 0.0, "run": 0.0})
-    np.testing.assert_array_equal(answer.positions, 6 * x)
+    answer = programs.run(_twice, {"x": x}, {"factor": factor}, {"compile": 0.0, "run": 0.0})
+    np.testing.assert_array_equal(answer.positions, 2 * factor * x)
     assert answer.result == Result.converged
 
 
-def test_programs_are_kept_and_come_back(folder):
+@WAYS
+def test_programs_are_kept_once_and_come_back(folder, keep):
+    pattern = keep(folder)
     call()
-    kept = {file.name: file.read_bytes() for file in folder.glob("*-cache")}
+    kept = {file.name: file.read_bytes() for file in folder.iterdir() if "-atime" not in file.name}
     assert kept
+    assert all(Path(name).match(pattern) for name in kept)
     call()
-    assert {file.name: file.read_bytes() for file in folder.glob("*-cache")} == kept
+    assert {file.name: file.read_bytes() for file in folder.glob(pattern)} == kept
 
 
-def test_a_damaged_file_is_ignored_with_a_warning(folder):
+def test_what_was_kept_is_not_made_again(folder, monkeypatch):
+    keep_in_ours(folder)
     call()
-    for file in folder.glob("*-cache"):
+    monkeypatch.setattr(programs, "_compiled", lambda _: pytest.fail("compiled"))
+    call()
+
+
+@WAYS
+def test_a_damaged_file_is_made_anew_with_a_warning(folder, keep):
+    pattern = keep(folder)
+    call()
+    for file in folder.glob(pattern):
         file.write_bytes(file.read_bytes()[:20])
     with pytest.warns(UserWarning, match="cache"):
         call()
+    if keep is keep_in_ours:  # JAX leaves it as it is
+        call()
+
+
+def test_where_nothing_can_be_written_the_answer_comes_with_a_warning(folder, monkeypatch):
+    monkeypatch.setattr(programs, "_folder", folder)
+    with pytest.warns(UserWarning, match="not kept"):
+        call()
+
+
+def test_other_code_values_and_processors_have_other_files(folder, monkeypatch):
+    keep_in_ours(folder)
+    call()
+    call(2.0)
+    assert len(list(folder.glob("*.program"))) == 2
+    for part in range(len(kept._surroundings())):
+        there = [*kept._surroundings()]
+        there[part] += " of another machine"
+        monkeypatch.setattr(kept, "_surroundings", lambda there=there: tuple(there))
+        call()
+        monkeypatch.undo()
+        monkeypatch.setattr(programs, "_folder", folder)
+    assert len(list(folder.glob("*.program"))) == 2 + len(kept._surroundings())
+
+
+def test_a_process_of_its_own_takes_a_kept_program(tmp_path):
+    """Where nothing was lowered yet, LAPACK too."""
+    clip = tmp_path / "clip.npz"
+    save(synthesize(0.1, 120), clip)
+    command = [sys.executable, "-m", "motionrecover", "recover", str(clip), "--overwrite", "-o"]
+    environment = {name: value for name, value in os.environ.items() if name != "JAX_COMPILATION_CACHE_DIR"}
+    environment["XDG_CACHE_HOME"] = str(tmp_path)
+    for preset in ("str_yang2020", "robust"):
+        answers = []
+        for turn in range(2):
+            answer = tmp_path / f"{turn}.npz"
+            subprocess.run([*command, answer, "--preset", preset], env=environment, check=True, capture_output=True)
+            answers.append(np.asarray(load(answer).positions))
+        np.testing.assert_array_equal(*answers)
 
 
 def test_what_takes_long_is_named(monkeypatch, caplog):

@@ -120,7 +120,7 @@ def _check(recovery: Recovery, names: Sequence[str], doubtful: np.ndarray, found
             )
     else:
         sentences.append("This preset does not say how far to trust it.")
-    if bool(recovery.result == Result.max_steps):
+    if recovery.result == Result.max_steps:
         sentences.append("It stopped at the last step allowed: more steps may refine it.")
     if found:
         sentences.append(f"Start with the {counted(len(found), 'moment')} listed here.")

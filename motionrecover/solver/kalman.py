@@ -25,7 +25,8 @@ u / diag(U) is y minus its prediction from all other samples, 1 / diag(U) the va
 The first S entries of g and G give the score of the drive: E[w_t | y] = -a_t Q g, Var[w_t | y] = a_t Q - a_t^2 Q G Q.
 """
 
-import equinox as eqx
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -37,7 +38,9 @@ joint unseen in the first frames is as uncertain as that many steps, and its var
 such numbers: with 1, it comes out negative after 72 frames of a real take."""
 
 
-class Smoothed(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Smoothed:
     """What the samples say about every frame."""
 
     mean: Float[Array, "frame joint 3"]

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from motionrecover.solver.problem import Problem
-from motionrecover.solver.result import Result, Solution
+from motionrecover.solver.result import Result, Solution, Verdict
 
 
 class Iteration(Protocol):
@@ -24,11 +24,11 @@ class Iteration(Protocol):
         """The next state, and what the step tells."""
         ...
 
-    def check(self, problem: Problem) -> Result:
+    def check(self, problem: Problem) -> Verdict:
         """Verdict on the input."""
         ...
 
-    def terminate(self, info: Any) -> Result:
+    def terminate(self, info: Any) -> Verdict:
         """Verdict after a step."""
         ...
 

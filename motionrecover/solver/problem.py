@@ -1,12 +1,16 @@
 """What is to be recovered: data, trust, bones."""
 
-import equinox as eqx
+from dataclasses import dataclass, field
+
+import jax
 from jaxtyping import Array, Float, Int
 
 from motionrecover.isometry.objective import Edges
 
 
-class Guide(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Guide:
     """Where somebody else, a learned refiner say, believes the joints to be."""
 
     positions: Float[Array, "3 joint frame"]
@@ -15,7 +19,9 @@ class Guide(eqx.Module):
     """B in [0, 1]: trust in each of its samples; 0 where it says nothing, and in the padding."""
 
 
-class Problem(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Problem:
     """One clip, as the solver sees it: arrays of fixed shape, no names, no units, no NaN.
 
     Positions are (component, joint, frame): the papers' 3T x S motion matrix with frames last, so that filters and
@@ -31,7 +37,7 @@ class Problem(eqx.Module):
     """l, in the unit of the positions."""
     frames: Int[Array, ""]
     """Number of valid frames; the stored ones beyond are padding."""
-    edges: Edges = eqx.field(static=True)
+    edges: Edges = field(metadata={"static": True})
     """Bones as pairs of joint indices."""
     guide: Guide | None = None
     """For a solver with a guide term."""

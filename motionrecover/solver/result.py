@@ -1,13 +1,29 @@
 """What comes back: a verdict, the answer, and the trace of how it was reached."""
 
-from typing import Any, ClassVar
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, ClassVar, Self
 
-import equinox as eqx
+import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
+Verdict = Int[Array, ""]
+"""A `Result` in compiled code: its number."""
 
-class Result(eqx.Enumeration):
+
+class Result(IntEnum):
     """Verdict on one clip."""
+
+    message: str
+    """One sentence for people."""
+
+    def __new__(cls, message: str) -> Self:
+        """The members are numbered in order."""
+        member = int.__new__(cls, len(cls.__members__))
+        member._value_ = int(member)
+        member.message = message
+        return member
 
     running = "The iteration has not ended."
     converged = "Converged: what a step still changes is below the tolerance."
@@ -20,8 +36,15 @@ class Result(eqx.Enumeration):
     partly_unknown = "Recovered in part: too few intact joints for long, or gaps longer than max_gap, stay NaN."
     nothing_observed = "No sample is observed: there is nothing to recover from."
 
+    @staticmethod
+    def where(condition: Array, true: Verdict | int, false: Verdict | int) -> Verdict:
+        """One verdict or the other."""
+        return jnp.where(condition, jnp.asarray(true, jnp.int32), jnp.asarray(false, jnp.int32))
 
-class Trace(eqx.Module):
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Trace:
     """One row a step; rows from `Solution.steps` on are NaN."""
 
     primal_residual: Float[Array, " step"]
@@ -53,14 +76,16 @@ class Trace(eqx.Module):
         return self.nuclear + self.outlier + self.isometry + self.smoothness + self.guide
 
 
-class Solution(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Solution:
     """Answer, verdict and trace of one clip."""
 
     positions: Float[Array, "3 joint frame"]
     """A."""
     outliers: Float[Array, "3 joint frame"]
     """E."""
-    result: Result
+    result: Verdict
     steps: Int[Array, ""]
     trace: Any
     """`Trace` of the published models, `SmootherInfo` of the robust one; one row a step."""

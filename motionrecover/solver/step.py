@@ -45,9 +45,10 @@ via ADMM", 2011, Sec. 3.2). A growing penalty forces the constraints to hold wha
 hence a verdict on both residuals.
 """
 
+from dataclasses import dataclass, field
 from typing import ClassVar
 
-import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -56,14 +57,16 @@ from motionrecover.isometry import pcg, tree
 from motionrecover.isometry.objective import bone_vectors, residual, transpose_product
 from motionrecover.prox import clip, singular_value_threshold
 from motionrecover.solver.problem import Problem
-from motionrecover.solver.result import Result, Trace
+from motionrecover.solver.result import Result, Trace, Verdict
 
 Positions = Float[Array, "joint 3 frame"]
 Coefficients = Float[Array, "joint 3 coefficient"]
 Scalar = Float[Array, ""]
 
 
-class State(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class State:
     """The seven variables and three penalties, and W A, which a step leaves to the next.
 
     Variables of a term that is left out are empty. A joint is a row of 3 T numbers: bones take whole rows, the
@@ -84,7 +87,9 @@ class State(eqx.Module):
     wa: Coefficients
 
 
-class Info(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Info:
     """What one step tells; the fields are those of `Trace`."""
 
     primal_residual: Scalar
@@ -99,7 +104,9 @@ class Info(eqx.Module):
     inner_steps: Scalar
 
 
-class Solver(eqx.Module):
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Solver:
     """Weights of the terms, penalties and tolerance: arrays, so that changing one does not compile anew."""
 
     outlier_weight: Scalar
@@ -118,16 +125,16 @@ class Solver(eqx.Module):
     """rho_max: where the growth ends, and convergence to a stationary point can begin."""
     tolerance: Scalar
     """Both residuals must fall below it."""
-    isometry: bool = eqx.field(static=True)
+    isometry: bool = field(metadata={"static": True})
     """Whether the model has the isometry term."""
-    smoothness: bool = eqx.field(static=True)
+    smoothness: bool = field(metadata={"static": True})
     """Whether the model has the wavelet term."""
-    guided: bool = eqx.field(static=True)
+    guided: bool = field(metadata={"static": True})
     """Whether the model has the guide term; the problem then has a guide."""
-    zero_start: bool = eqx.field(static=True)
+    zero_start: bool = field(metadata={"static": True})
     """Start from A = 0 as printed, not from A = D."""
-    wavelet: str = eqx.field(static=True)
-    level: int = eqx.field(static=True)
+    wavelet: str = field(metadata={"static": True})
+    level: int = field(metadata={"static": True})
 
     trace: ClassVar[type] = Trace
 
@@ -213,14 +220,14 @@ class Solver(eqx.Module):
         penalty = jnp.minimum(state.penalty * self.penalty_growth, self.penalty_max)
         return State(d, state.scale, new, e, n, z1, z2, z3, penalty, wa), info
 
-    def check(self, problem: Problem) -> Result:
+    def check(self, problem: Problem) -> Verdict:
         """Verdict before the first step: on the input."""
         finite = jnp.isfinite(problem.positions).all() & jnp.isfinite(problem.weights).all()
         finite = finite & jnp.isfinite(problem.bone_lengths).all()
         result = Result.where((problem.weights > 0).any(), Result.running, Result.nothing_observed)
         return Result.where(finite, result, Result.non_finite_input)
 
-    def terminate(self, info: Info) -> Result:
+    def terminate(self, info: Info) -> Verdict:
         """Verdict after a step."""
         done = (info.primal_residual < self.tolerance) & (info.dual_residual < self.tolerance)
         finite = jnp.isfinite(info.primal_residual) & jnp.isfinite(info.dual_residual)
