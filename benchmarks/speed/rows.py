@@ -113,9 +113,10 @@ def _peak() -> int:
 def importing(quick: bool) -> dict[str, Any]:
     """Seconds of `import motionrecover` and of `import jax`, each in a fresh process."""
     best: dict[str, list[float]] = {"motionrecover": [], "jax": []}
-    for _ in range(2 if quick else 7):
-        for name, values in best.items():
-            values.append(_process([sys.executable, "-c", f"import {name}"]))
+    with tempfile.TemporaryDirectory() as folder:
+        for _ in range(2 if quick else 7):
+            for name, values in best.items():
+                values.append(_process([sys.executable, "-c", f"import {name}"], _installed(folder)))
     ours, jax = (min(values) for values in best.values())
     return {"motionrecover": _round(ours), "jax": _round(jax), "ratio": _round(ours / jax)}
 
@@ -128,17 +129,17 @@ def command(quick: bool) -> dict[str, Any]:
     motion = motion.with_positions(corrupt.joints(np.asarray(motion.positions), 0.2, seed=0)[0], "corrupted")
     trivial = "import jax; jax.jit(lambda x: x + 1)(1.0).block_until_ready()"
     # SciPy's linear algebra is what JAX's decompositions call.
-    simple = {"trivial": trivial, "packages": f"import equinox, pywt, rich.console, scipy.linalg, typer; {trivial}"}
+    simple = {"trivial": trivial, "packages": f"import jaxtyping, pywt, rich.console, scipy.linalg, typer; {trivial}"}
     with tempfile.TemporaryDirectory() as folder:
         clip, answer = Path(folder) / "clip.npz", Path(folder) / "answer.npz"
         save(motion, clip)
-        cli, environment = [sys.executable, "-m", "motionrecover"], os.environ | {"XDG_CACHE_HOME": folder}
+        cli, environment = [sys.executable, "-m", "motionrecover"], _installed(folder) | {"XDG_CACHE_HOME": folder}
         run = [*cli, "recover", str(clip), "-o", str(answer), "--overwrite", "--quiet"]
         presets = ("str_yang2020",) if quick else ("str_yang2020", "robust")
         found: dict[str, list[float]] = {}
         for _ in range(1 if quick else 3):
             for name, code in simple.items():
-                found.setdefault(name, []).append(_process([sys.executable, "-c", code]))
+                found.setdefault(name, []).append(_process([sys.executable, "-c", code], environment))
             for preset in presets:
                 ways = {"cold": [*run, "--preset", preset, "--no-cache"], "warm": [*run, "--preset", preset]}
                 if not found.get(f"{preset} warm"):
@@ -276,6 +277,12 @@ def _seconds(call: Callable[[], object]) -> float:
     start = time.perf_counter()
     call()
     return time.perf_counter() - start
+
+
+def _installed(folder: str) -> dict[str, str]:
+    """The environment in which a package has its bytecode, as an installed one does."""
+    kept = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    return kept | {"PYTHONPYCACHEPREFIX": folder}
 
 
 def _process(arguments: list[str], environment: dict[str, str] | None = None) -> float:
