@@ -27,12 +27,10 @@ OPTIONS: dict[str, bool | int] = {
     "xla_cpu_use_fusion_emitters": False,
     "xla_cpu_multi_thread_eigen": False,
     "xla_cpu_prefer_vector_width": 512,
-    "xla_cpu_parallel_codegen_split_count": 1,
 }
 """Of XLA on a CPU. Without fusion emitters the smoother compiles in half the time and runs as fast. One thread a
 program: programs that share threads wait for each other, for ever where two of them run on two processors. With the
-widest vectors that a processor has, not 256 bits, `str_yang2020` takes 0.94 of the time. In one piece instead of 32,
-programs compile in 0.86 of the time on one core, and load sooner."""
+widest vectors that a processor has, not 256 bits, `str_yang2020` takes 0.94 of the time."""
 SLOW = 1.0
 """Seconds after which compiling is worth a line in the log."""
 
