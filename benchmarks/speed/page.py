@@ -138,7 +138,7 @@ def _starting(rows: dict, found: list[dict]) -> str:
         if name != "packages":
             preset, cache = name.split()
             what = f"command, 300 frames, `{preset}`, {cache} cache"
-        lines.append([what, f"{command['seconds'][name]:.1f} s, {ratio:.1f} of a process that compiles x + 1"])
+        lines.append([what, f"{command['seconds'][name]:.1f} s, {ratio:.2f} of a process that compiles x + 1"])
     for name in ("recover_many", "recover"):
         row = many[name]
         how = f"{many['clips']} clips with `{name}`" + (f" on {many['processors']} cores" if "_" in name else "")
