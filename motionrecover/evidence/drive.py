@@ -4,6 +4,8 @@ import numpy as np
 
 PRIOR = 20.0
 """Differences that the common variance counts for. At 80 % corruption a joint has two intact ones of its own."""
+STILL = 1e-4
+"""Relative change of what is fitted at which fitting ends."""
 
 
 def estimate_drive(positions: np.ndarray, observed: np.ndarray) -> np.ndarray:
@@ -30,7 +32,9 @@ def estimate_drive(positions: np.ndarray, observed: np.ndarray) -> np.ndarray:
     square = np.where(counted, np.maximum(squares, 1e-12 * wide), 0)
     for _ in range(40):
         intact = counted * _intact(square, share, variance, wide)
-        variance = ((intact * square).sum(0) + PRIOR / 2 * narrow) / (intact.sum(0) + PRIOR / 2)
+        before, variance = variance, ((intact * square).sum(0) + PRIOR / 2 * narrow) / (intact.sum(0) + PRIOR / 2)
+        if np.abs(variance / before - 1).max() < STILL:
+            break
     return variance
 
 
@@ -44,6 +48,8 @@ def _fit(squares, narrow, wide):
         share = np.clip(count / len(squares), 1e-4, 1 - 1e-4)
         narrow = max(part / count, squares.min())
         wide = max((total - part) / max(len(squares) - count, 1e-9), narrow)
+        if abs(narrow / before[1] - 1) + abs(share / before[0] - 1) < STILL:
+            break
     level = np.logaddexp(0, _odds(squares, *before)) - 1.5 * squares / before[1]
     return level.sum() + len(squares) * (np.log(before[0]) - 1.5 * np.log(before[1])), narrow, share
 
