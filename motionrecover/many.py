@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import os
-from collections import deque
 from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
 from motionrecover.motion import Motion
 from motionrecover.recovery import Recovery, RecoveryError, recover_motion
-from motionrecover.threads import one_blas_thread
-
-AHEAD = 2
-"""Clips a worker that are read before the next answer is taken: a long clip does not stop the workers behind it."""
+from motionrecover.threads import in_order, one_blas_thread, processors
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,18 +42,8 @@ def recover_many(clips: Iterable[Motion], *, workers: int | None = None, **setti
 
 
 def _outcomes(clips, workers, settings):
-    pool = ThreadPoolExecutor(workers)
-    waiting: deque[Future[Outcome]] = deque()
     with one_blas_thread():
-        try:
-            for index, clip in enumerate(clips):
-                waiting.append(pool.submit(_outcome, index, clip, settings))
-                while waiting and (waiting[0].done() or len(waiting) >= AHEAD * workers):
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+        yield from in_order(lambda item: _outcome(*item, settings), enumerate(clips), workers)
 
 
 def _outcome(index, clip, settings):
@@ -69,8 +53,3 @@ def _outcome(index, clip, settings):
     except (ValueError, RecoveryError) as error:
         return Outcome(index, None, str(error))
     return Outcome(index, recovery, None)
-
-
-def processors():
-    """Number of those that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -64,7 +64,7 @@ class Recovery:
     trace: Any
     """One row a step, over all windows: `solver.Trace` of a published model, `solver.SmootherInfo` of `robust`."""
     seconds: dict[str, float]
-    """`compile` and `run`, apart. `compile` is 0 when a program for these shapes was at hand."""
+    """`compile` and `run`, apart, summed over windows. `compile` is 0 when a program for these shapes was at hand."""
 
     def __repr__(self) -> str:
         frames, joints, _ = self.positions.shape
@@ -107,6 +107,7 @@ def recover(
     dtype: Any = None,
     throw: bool = True,
     verbose: bool = False,
+    workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Recovery:
     """Recover the motion behind corrupted joint positions.
@@ -118,8 +119,9 @@ def recover(
     estimated from D. `fps`: frames a second, kept in the answer; no preset depends on it. `max_steps`: in place of the
     preset's. `dtype` of the answer: float32 (the default) or float64; the published models also compute in it,
     `robust` always in float64. `throw`: raise `RecoveryError` when the verdict is that there is no usable answer,
-    instead of returning it with the verdict. `verbose`: print the trace. `progress(done, windows)` is called before the
-    first window, when all input is checked, and after each; what it raises ends the recovery.
+    instead of returning it with the verdict. `verbose`: print the trace. `workers`: windows of a long clip at a time,
+    each in a thread; the answer is the same. `progress(done, windows)` is called before the first window, when all
+    input is checked, and after each; what it raises ends the recovery.
 
     Of `robust` only: `max_gap`: gaps of more frames than this stay NaN; left out, a gap is filled however long, and
     `uncertainty` says how far to trust it. `fill_unseen`: joints that no frame shows are placed instead of staying NaN,
@@ -146,13 +148,16 @@ def recover(
     steps = preset.max_steps if max_steps is None else max_steps
     if steps < 1:
         raise ValueError(f"received max_steps {max_steps}: give at least 1")
+    if workers < 1:
+        raise ValueError(f"received {workers} workers: give at least 1")
     arguments = D, skeleton, observed, confidence, bone_lengths
+    how = workers, progress
     if isinstance(preset, Robust):
         if guide is not None:
             raise ValueError("received a guide for robust: it is an option of the published models, give one as preset")
         if plant_feet and fps is None:
             raise ValueError("received plant_feet without fps: contacts are found by speed, give frames a second")
-        recovery = _robust(*arguments, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet, symmetric, progress)
+        recovery = _robust(*arguments, preset, steps, dtype, fps, max_gap, fill_unseen, plant_feet, symmetric, *how)
     elif max_gap is not None or fill_unseen or plant_feet or symmetric:
         raise ValueError(
             f"received max_gap, fill_unseen, plant_feet or symmetric for {preset.name}: they are options of robust"
@@ -166,7 +171,7 @@ def recover(
         if refiner:
             guide = refiner(D, skeleton, observed=observed, fps=fps).positions
         while True:
-            recovery = _published(*arguments, preset, steps, dtype, fps, guide, guide_confidence, progress)
+            recovery = _published(*arguments, preset, steps, dtype, fps, guide, guide_confidence, *how)
             guide_rounds -= 1
             if refiner is None or guide_rounds == 0 or _useless(recovery.result):
                 break
@@ -198,6 +203,7 @@ def _robust(
     fill_unseen,
     plant_feet,
     paired,
+    workers,
     progress,
 ):
     """The answer of `robust`: see `motionrecover.robust`."""
@@ -237,7 +243,7 @@ def _robust(
     people = poses.poses_of(skeleton.names)
     # Of joints that coincide the first that is recognised stands for all.
     stand_in = None if people is None else people.of(kept).merged(clip.groups)
-    restored = robust.restore(clip, preset, bone_lengths is not None, pairs, stand_in, steps, seconds, progress)
+    restored = robust.restore(clip, preset, given is not None, pairs, stand_in, steps, seconds, workers, progress)
     verdict = robust.verdict(restored)
 
     positions, variance, intact = (
@@ -303,7 +309,7 @@ def _robust(
 
 
 def _published(
-    D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps, guide, guide_confidence, progress
+    D, skeleton, observed, confidence, bone_lengths, preset, steps, dtype, fps, guide, trust, workers, progress
 ):
     """The answer of a published model: windows, solved one by one and faded into each other."""
     printed = preset.initialisation == "printed"
@@ -318,22 +324,26 @@ def _published(
         fill_reach=preset.fill_reach,
         min_frames=preset.min_frames,
         guide=guide,
-        guide_confidence=guide_confidence,
+        guide_confidence=trust,
     )
     frames = len(clip.data)
     window = frames if printed or preset.window is None else preset.window
     spans = windows.split(frames, window, min(preset.overlap, window - 1))
     stored = bucket(min(frames, window), preset.window)
     positions, outliers, solutions, seconds = [], [], [], {"compile": 0.0, "run": 0.0}
-    # float64 is allowed for float32 data too: see `prox.singular_value_threshold`.
-    with jax.enable_x64(True):
-        for span in windows.told(spans, progress):
+
+    def solution_of(span):
+        # float64 is allowed for float32 data too: see `prox.singular_value_threshold`.
+        with jax.enable_x64(True):
             problem, origin = clip.problem(span, stored, dtype)
-            solution = run(solve, {"solver": preset.solver(problem), "problem": problem}, {"max_steps": steps}, seconds)
-            size = span.stop - span.start
-            positions.append(clip.restore(solution.positions, size) + origin.astype(dtype))
-            outliers.append(clip.restore(solution.outliers, size))
-            solutions.append(solution)
+            arrays = {"solver": preset.solver(problem), "problem": problem}
+            return run(solve, arrays, {"max_steps": steps}, seconds), origin
+
+    for span, (solution, origin) in zip(spans, windows.solved(solution_of, spans, workers, progress), strict=True):
+        size = span.stop - span.start
+        positions.append(clip.restore(solution.positions, size) + origin.astype(dtype))
+        outliers.append(clip.restore(solution.outliers, size))
+        solutions.append(solution)
     worst = max(solutions, key=lambda solution: (_useless(solution.result), solution.result != Result.converged))
     answer = windows.blend(positions, spans)
     if _useless(worst.result):

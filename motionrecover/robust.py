@@ -93,13 +93,14 @@ def restore(
     poses: Poses | None,
     max_steps: int,
     seconds: dict[str, float],
+    workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Restored:
     """Steps 2 to 7, for a clip whose joints are all observed somewhere.
 
     `given`: the bone lengths are not estimates. `mirrored`: pairs of bones whose estimates are drawn together.
     `poses` of other people with the clip's joints, where it is known what these are.
-    `progress`: see `windows.told`.
+    `workers`, `progress`: see `windows.solved`.
     """
     observed = clip.merged_weights > 0
     data = np.where(observed[..., None], clip.merged, np.nan)
@@ -116,7 +117,7 @@ def restore(
         window = preset.window or len(data)
         spans = windows.split(len(data), window, min(preset.overlap, window - 1))
         stored = bucket(spans[0].stop - spans[0].start, preset.window)
-        found, solutions = _in_windows(clip, spans, stored, body, told, max_steps, seconds, progress)
+        found, solutions = _in_windows(clip, spans, stored, body, told, max_steps, seconds, workers, progress)
         intact = np.where(observed & ~hopeless(data, solutions, spans, scale), found.intact, 0)
         noise = np.median([solution.state.noise for solution in solutions])
         exact = exact or noise < (2 * Smoother.FLOOR * scale) ** 2
@@ -156,11 +157,14 @@ def verdict(restored: Restored) -> Result:
     return next((r for r in results if r != Result.converged), Result.converged)
 
 
-def _in_windows(clip, spans, stored, body, told, max_steps, seconds, progress):
+def _in_windows(clip, spans, stored, body, told, max_steps, seconds, workers, progress):
     """The windows' estimates blended, and their solutions without covariance."""
     found, covariances, probabilities, drives, levels, solutions = [], [], [], [], [], []
-    for span in windows.told(spans, progress):
-        solution, origin = _solve(clip, span, stored, body, told[span], max_steps, seconds)
+
+    def solution_of(span):
+        return _solve(clip, span, stored, body, told[span], max_steps, seconds)
+
+    for span, (solution, origin) in zip(spans, windows.solved(solution_of, spans, workers, progress), strict=True):
         size, state = span.stop - span.start, solution.state
         found.append(np.asarray(state.positions)[:size] + origin)
         covariances.append(np.asarray(state.covariance)[:size])
@@ -181,10 +185,11 @@ def _in_windows(clip, spans, stored, body, told, max_steps, seconds, progress):
 
 def _solve(clip, span, stored, body, told, max_steps, seconds):
     """The solution of one window, and its origin."""
-    problem, origin = clip.problem(span, stored, np.dtype("float64"))
-    drive = body.drive(clip.merged[span], clip.merged_weights[span] > 0)
-    solver = body.smoother(told, stored, drive, tolerance=0.02)
-    return run(solve, {"solver": solver, "problem": problem}, {"max_steps": max_steps}, seconds), origin
+    with jax.enable_x64(True):  # a thread has a setting of its own
+        problem, origin = clip.problem(span, stored, np.dtype("float64"))
+        drive = body.drive(clip.merged[span], clip.merged_weights[span] > 0)
+        solver = body.smoother(told, stored, drive, tolerance=0.02)
+        return run(solve, {"solver": solver, "problem": problem}, {"max_steps": max_steps}, seconds), origin
 
 
 def _predicted(positions, kept, gaps, edges, poses):

@@ -1,8 +1,13 @@
 """Long clips in overlapping windows: where they lie, and how their answers become one again."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
+from typing import TypeVar
 
 import numpy as np
+
+from motionrecover.threads import in_order
+
+A = TypeVar("A")
 
 
 def split(frames: int, window: int, overlap: int) -> list[slice]:
@@ -22,14 +27,18 @@ def split(frames: int, window: int, overlap: int) -> list[slice]:
     return [slice(start, start + size) for start in starts.tolist()]
 
 
-def told(spans: list[slice], progress: Callable[[int, int], None] | None) -> Iterator[slice]:
-    """The windows one by one; `progress`, if given, is told how many are done and how many there are."""
-    for done, span in enumerate(spans):
-        if progress is not None:
-            progress(done, len(spans))
-        yield span
-    if progress is not None:
-        progress(len(spans), len(spans))
+def solved(
+    solve: Callable[[slice], A], spans: list[slice], workers: int, progress: Callable[[int, int], None] | None
+) -> Generator[A]:
+    """The answers of the windows, in order, so many at a time.
+
+    `progress`, if given, is told how many are done and how many there are.
+    """
+    tell = progress or (lambda done, count: None)
+    tell(0, len(spans))
+    for done, answer in enumerate(in_order(solve, spans, workers), 1):
+        tell(done, len(spans))
+        yield answer
 
 
 def shares(spans: list[slice], trust: list[np.ndarray] | None = None) -> list[np.ndarray]:

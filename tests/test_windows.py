@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from motionrecover import PRESETS, recover
-from motionrecover.windows import blend, split, told
+from motionrecover.windows import blend, solved, split
 
 
 @given(frames=st.integers(1, 5000), window=st.integers(2, 400), share=st.floats(0, 0.9))
@@ -50,10 +50,11 @@ def test_blending_turns_one_answer_into_the_other_without_a_step():
 
 def test_progress_is_told_before_the_first_window_and_after_each():
     events, spans = [], split(100, 30, 10)
-    for span in told(spans, lambda done, total: events.append((done, total))):
+    for span in solved(lambda span: span, spans, 1, lambda done, total: events.append((done, total))):
         events.append(span)
-    assert events == [event for k, span in enumerate(spans) for event in ((k, len(spans)), span)] + [(len(spans),) * 2]
-    assert list(told(spans, None)) == spans
+    after = [event for k, span in enumerate(spans, 1) for event in ((k, len(spans)), span)]
+    assert events == [(0, len(spans)), *after]
+    assert list(solved(lambda span: span, spans, 3, None)) == spans
 
 
 @pytest.mark.parametrize("preset", PRESETS.values(), ids=PRESETS)

@@ -73,7 +73,7 @@ def batch(
     from motionrecover.batch.remote import is_url
     from motionrecover.cli import checks
     from motionrecover.io.border import counted
-    from motionrecover.many import processors
+    from motionrecover.threads import processors
 
     terminal.hush(quiet)
     presets.find(preset)

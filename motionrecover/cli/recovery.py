@@ -178,8 +178,9 @@ def run(
 
 def _recover(clip: Motion, preset: str, **chosen: Any) -> Recovery:
     from motionrecover.recovery import recover_motion
+    from motionrecover.threads import processors
 
-    return recover_motion(clip, preset=preset, **chosen)
+    return recover_motion(clip, preset=preset, workers=processors(), **chosen)
 
 
 class _Checked(Exception):
