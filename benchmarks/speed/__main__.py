@@ -3,8 +3,9 @@
     python -m benchmarks.speed [ROW ...] [--quick] [--gpu] [--output FILE]
 
 Runs every row, or those named (`iterations` for all that begin so), in processes of their own, writes
-`benchmarks/speed/results.json` (rows that were not run stay) and makes `docs/performance.md` of it. About ten minutes;
-for figures to keep, on a machine where nothing else runs. `--gpu` runs the row `batch` on a GPU, at full size.
+`benchmarks/speed/results.json` (rows that were not run stay) and makes `docs/performance.md` of it. About half an hour;
+for figures to keep, on a machine where nothing else runs. The rows `recordings` need the CMU clips: MOTIONRECOVER_DATA,
+or ../shared/data beside the repository. `--gpu` runs the row `batch` on a GPU, at full size.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The rows of the benchmark. Each runs in a process of its own (`python -m benchmarks.speed --row NAME`), on one core
+"""The rows of the benchmark. Each runs in a process of its own (`python -m benchmarks.speed NAME --here`), on one core
 where that is said, and prints its results as JSON.
 
 Where things are compared, they take turns in the same process, and the best of several runs counts.
@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from motionrecover.threads import processors
 
 ROOT = Path(__file__).parents[2]
 LENGTHS = (272, 584, 1100, 6784)
@@ -154,10 +156,35 @@ def command(quick: bool) -> dict[str, Any]:
 
 
 def many(quick: bool) -> dict[str, Any]:
-    """`recover_many` over clips of different lengths beside `recover` one at a time, and what each compiled."""
+    """`recover_many` over made-up clips of different lengths beside `recover` one at a time."""
+    from motionrecover import corrupt, synthesize
+
+    rng = np.random.default_rng(0)
+    clips = []
+    for frames in rng.integers(60, 900, 4 if quick else 24):
+        motion = synthesize(frames / 120, 120)
+        clips.append(motion.with_positions(corrupt.joints(np.asarray(motion.positions), 0.2, seed=rng)[0], "corrupted"))
+    return _many(clips, {"preset": "str_yang2020", "max_steps": 100}, 1 if quick else 2)
+
+
+def recordings(preset: str, quick: bool) -> dict[str, Any]:
+    """The same over all CMU clips, 5 % of their samples displaced. Needs the recordings: `benchmarks.recordings`."""
+    from benchmarks.recordings import MANIFEST, data_folder
+    from motionrecover import corrupt, load
+
+    clips = []
+    for seed, path in enumerate(sorted((data_folder() / MANIFEST).parent.glob("*.npz"))[: 3 if quick else None]):
+        clip = load(path)
+        clips.append(clip.with_positions(corrupt.joints(np.asarray(clip.positions), 0.05, seed=seed)[0], "corrupted"))
+    return _many(clips, {"preset": preset}, 0)
+
+
+def _many(clips: list, settings: dict[str, Any], again: int) -> dict[str, Any]:
+    """Seconds of `recover_many` and of `recover` on each, at first and `again`; what each compiled; the verdicts."""
     import jax
 
-    from motionrecover import corrupt, recover, recover_many, synthesize
+    from motionrecover import recover_many
+    from motionrecover.recovery import recover_motion
 
     compiled: list[str] = []
     jax.monitoring.register_event_duration_secs_listener(
@@ -165,27 +192,22 @@ def many(quick: bool) -> dict[str, Any]:
             compiled.append(event) if event == "/jax/core/compile/backend_compile_duration" else None
         )
     )
-    rng = np.random.default_rng(0)
-    clips = []
-    for frames in rng.integers(60, 900, 4 if quick else 24):
-        motion = synthesize(frames / 120, 120)
-        clips.append(motion.with_positions(corrupt.joints(np.asarray(motion.positions), 0.2, seed=rng)[0], "corrupted"))
-    settings = {"preset": "str_yang2020", "max_steps": 100}
-    found: dict[str, Any] = {"clips": len(clips), "frames": sum(map(len, clips))}
+    verdicts: list[str] = []
 
     def at_once() -> None:
-        list(recover_many(clips, **settings))
+        outcomes = recover_many(clips, **settings)
+        verdicts[:] = [outcome.recovery.result.name if outcome.recovery else "no answer" for outcome in outcomes]
 
     def one_by_one() -> None:
         for clip in clips:
-            recover(clip.positions, clip.skeleton, **settings)
+            recover_motion(clip, **settings)
 
+    found: dict[str, Any] = {"clips": len(clips), "frames": sum(map(len, clips)), "processors": processors()}
     for name, call in (("recover_many", at_once), ("recover", one_by_one)):
         del compiled[:]
-        first, again = _seconds(call), min(_seconds(call) for _ in range(1 if quick else 2))
-        found[name] = {"first": _round(first), "again": _round(again), "compiled": len(compiled)}
-    found["processors"] = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return found
+        seconds = [_seconds(call) for _ in range(1 + again)]
+        found[name] = {"first": _round(seconds[0]), "again": _round(min(seconds)), "compiled": len(compiled)}
+    return found | {"verdicts": {name: verdicts.count(name) for name in sorted(set(verdicts))}}
 
 
 def robust(quick: bool) -> dict[str, Any]:
@@ -267,6 +289,7 @@ ROWS: dict[str, tuple[Callable[[bool], dict[str, Any]], bool]] = {
     "import": (importing, False),
     "command": (command, False),
     "many": (many, False),
+    **{f"recordings-{name}": (partial(recordings, name), False) for name in ("str_yang2020", "robust")},
     "robust": (robust, True),
     "batch": (batch, False),
 }
