@@ -27,8 +27,7 @@ def behind(
 
     def forward(carry, row):
         (z, p), (y, r, a) = carry, row
-        (z, p), _ = update(z, p, y, r)
-        return ahead(z, p, a * drive), None
+        return ahead(*update(z, p, y, r), a * drive), None
 
     following = jnp.concatenate([activity[1:], activity[-1:]])
     return lax.scan(forward, before(samples[0], start), (samples, noise, following))[0]
@@ -64,7 +63,7 @@ def follow(
         own = odds + log_intact(square, variance, s2) - log_normal(square, variance + outlier)
         intact = judged(own[None], observed[None], together[None], edges)[0]
         r = jnp.where(intact > INTACT, s2, outlier)
-        z, p = update(z, p, y, jnp.where(observed, r, (Smoother.MISSING * scale) ** 2))[0]
+        z, p = update(z, p, y, jnp.where(observed, r, (Smoother.MISSING * scale) ** 2))
         return ahead(z, p, drive), (z[:joints], p[:joints, :joints], intact)
 
     return lax.scan(forward, state, (samples, confidence, evidence))[1]

@@ -14,15 +14,21 @@ the covariance update, which stays positive definite when r spans nine orders of
     V = H P H^T + diag(r),  K = P H^T V^-1,  v = y - H z,  z <- z + K v,  P <- (I - K H) P (I - K H)^T + K diag(r) K^T
     z <- F z,  P <- F P F^T + a Q
 
-Backward, without inverting P (Bryson & Frazier 1963; de Jong, "Smoothing and interpolation with the state-space model",
-JASA 84, 1989; Durbin & Koopman 2012, Sec. 4.4-4.5), from g = 0, G = 0 behind the last frame:
+The smoother takes two frames at a time, all that z holds: H is the identity for the samples of both, and two moves
+ahead follow. Half as many updates of as much work take 0.8 of the time. Then I - K = diag(r) V^-1, which no rounding
+spoils, and P <- (I - K) P is as accurate as Joseph's form: beside arithmetic of 256 bits, variances of clips with long
+gaps and exact samples come out within 2 to 20 % in the worst sample of either, means within 1e-6 of their error.
 
-    u_t = V^-1 v + K^T g,  U_t = V^-1 + K^T G K (of which the diagonal is needed)
-    g <- (I - K H)^T g - H^T V^-1 v,  G <- (I - K H)^T G (I - K H) + H^T V^-1 H
-    E[z_t | y] = z - P g,  Var[z_t | y] = P - P G P;  then g <- F^T g,  G <- F^T G F
+Backward, without inverting P (Bryson & Frazier 1963; de Jong, "Smoothing and interpolation with the state-space model",
+JASA 84, 1989; Durbin & Koopman 2012, Sec. 4.4-4.5), from g = 0, G = 0 behind the last pair:
+
+    u = V^-1 v + K^T g,  U = V^-1 + K^T G K (of which the diagonal is needed)
+    g <- (I - K)^T g - V^-1 v,  G <- (I - K)^T G (I - K) + V^-1
+    E[z | y] = z - P g,  Var[z | y] = P - P G P;  then twice  g <- F^T g,  G <- F^T G F
 
 u / diag(U) is y minus its prediction from all other samples, 1 / diag(U) the variance of that difference, r included.
-The first S entries of g and G give the score of the drive: E[w_t | y] = -a_t Q g, Var[w_t | y] = a_t Q - a_t^2 Q G Q.
+The first S entries of g and G before each move back give the score of the drive: E[w_t | y] = -a_t Q g,
+Var[w_t | y] = a_t Q - a_t^2 Q G Q.
 """
 
 from dataclasses import dataclass
@@ -36,6 +42,8 @@ SPEED = 0.25
 """Standard deviation of the first step between two frames, in those of where the body is before its first frame. A
 joint unseen in the first frames is as uncertain as that many steps, and its variance in the end a small difference of
 such numbers: with 1, it comes out negative after 72 frames of a real take."""
+NOTHING = 1e9
+"""Variance, in those of where the body is before its first frame, of a sample that says nothing."""
 
 
 @jax.tree_util.register_dataclass
@@ -62,19 +70,19 @@ def before(sample: Float[Array, "joint 3"], start: Float[Array, ""]) -> tuple[Ar
     return jnp.concatenate([sample, sample]), start * jnp.block([[eye, eye], [eye, (1 + SPEED**2) * eye]])
 
 
-def update(
-    z: Array, p: Array, y: Float[Array, "joint 3"], r: Float[Array, " joint"]
-) -> tuple[tuple[Array, Array], tuple[Array, Array, Array]]:
-    """z and P after the samples y of variance r; and v, V^-1 and K."""
+def update(z: Array, p: Array, y: Float[Array, "joint 3"], r: Float[Array, " joint"]) -> tuple[Array, Array]:
+    """z and P after the samples y of variance r."""
     joints = len(y)
-    factor = jnp.linalg.cholesky(p[:joints, :joints] + jnp.diag(r))
-    inverse = jax.scipy.linalg.cho_solve((factor, True), jnp.eye(joints))
-    gain = p[:, :joints] @ inverse
-    innovation = y - z[:joints]
+    gain = p[:, :joints] @ _inverse(p[:joints, :joints] + jnp.diag(r))
     # H picks columns, so thin products do.
     once = p - gain @ p[:joints]
-    after = once - (once[:, :joints] - gain * r) @ gain.T
-    return (z + gain @ innovation, after), (innovation, inverse, gain)
+    return z + gain @ (y - z[:joints]), once - (once[:, :joints] - gain * r) @ gain.T
+
+
+def _inverse(v):
+    """Of a positive definite matrix: the product of two triangles takes half as long as solving for the second."""
+    root = jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(v), jnp.eye(len(v)), trans=1, lower=True)
+    return root @ root.T
 
 
 def ahead(z: Array, p: Array, drive: Float[Array, "joint joint"]) -> tuple[Array, Array]:
@@ -85,6 +93,15 @@ def ahead(z: Array, p: Array, drive: Float[Array, "joint joint"]) -> tuple[Array
     cross = 2 * A - B.T
     p = jnp.block([[4 * A - 2 * (B + B.T) + C + drive, cross], [cross.T, A]])
     return jnp.concatenate([2 * now - last, now]), (p + p.T) / 2
+
+
+def back(g: Array, G: Array) -> tuple[Array, Array]:
+    """g and G behind the samples of the frame before."""
+    joints = len(g) // 2
+    now, last = g[:joints], g[joints:]
+    A, B, C = G[:joints, :joints], G[:joints, joints:], G[joints:, joints:]
+    cross = -2 * A - B.T
+    return jnp.concatenate([2 * now + last, -now]), jnp.block([[4 * A + 2 * (B + B.T) + C, cross], [cross.T, A]])
 
 
 def smooth(
@@ -99,48 +116,60 @@ def smooth(
     `start`: variance of the position before the first frame, around the first sample. A missing sample is one of a
     variance like `start`: it says nothing that matters.
     """
-    joints = samples.shape[1]
+    frames, joints = noise.shape
     whole = jnp.eye(2 * joints)
+    odd = frames % 2
+    samples = jnp.pad(samples, [(0, odd), (0, 0), (0, 0)], "edge")
+    noise = jnp.pad(noise, [(0, odd), (0, 0)], constant_values=NOTHING * start)
+    activity = jnp.pad(activity, (0, odd + 2), "edge")
+
+    def paired(x):
+        """The frames in twos, the later one first: as in z."""
+        return x.reshape(-1, 2, *x.shape[1:])[:, ::-1].reshape(-1, 2 * joints, *x.shape[2:])
+
+    def split(x):
+        """A pair's entries by frame, the earlier one first."""
+        return x.reshape(2, joints, *x.shape[1:])[::-1]
 
     def forward(carry, row):
-        z, p = carry
-        y, r, a = row
-        (now, spread), filtered = update(z, p, y, r)
-        return ahead(now, spread, a * drive), (z, p, *filtered)
+        (z, p), (y, r, (a, b)) = carry, row
+        inverse = _inverse(p + jnp.diag(r))
+        innovation = y - z
+        kept = r[:, None] * inverse
+        seen = y - kept @ innovation, kept @ p
+        return ahead(*ahead(*seen, a * drive), b * drive), (*carry, r, innovation, inverse)
 
     def backward(carry, row):
         g, G = carry
-        z, p, innovation, inverse, gain = row
-        u = inverse @ innovation + gain.T @ g
-        # Written out, this loses what long gaps know: beside exact samples G is 1e9 times larger than V^-1 in them.
-        kept = whole[:, :joints] - gain
-        products = G @ jnp.concatenate([kept, gain], 1)
-        once, across = products[:, :joints], products[:, joints:]
-        precision = jnp.diag(inverse) + jnp.sum(gain * across, 0)
-        g = g.at[:joints].add(-u)
-        # H picks columns: the others of I - K H are those of I.
-        top = kept.T @ once + inverse
-        G = jnp.block([[(top + top.T) / 2, once[joints:].T], [once[joints:], G[joints:, joints:]]])
-        now = p[:joints]
+        z, p, r, innovation, inverse = row
+        kept = r[:, None] * inverse
+        once = G @ kept
+        precision = jnp.diag(inverse) + jnp.sum((whole - kept) * (G - once), 0)
+        rest = inverse @ (r[:, None] * g - innovation)
+        u, g = g - rest, rest
+        # Multiplied out, this loses what long gaps know: beside exact samples, G is 1e9 times larger than V^-1 in them.
+        G = (inverse * r) @ once + inverse
+        G = (G + G.T) / 2
+        known = p @ G
+        last, now = slice(joints, None), slice(joints)
+        covariance = [p[x, x] - known[x] @ p[:, x] for x in (last, now)]
+        between = back(g, G)
         smoothed = (
-            z[:joints] - now @ g,
-            now[:, :joints] - now @ G @ now.T,
-            u / precision[:, None],
-            1 / precision,
-            g[:joints],
-            G[:joints, :joints],
+            split(z - p @ g),
+            jnp.stack(covariance),
+            split(u / precision[:, None]),
+            split(1 / precision),
+            jnp.stack([between[0][now], g[now]]),
+            jnp.stack([between[1][now, now], G[now, now]]),
         )
-        A, B, C = G[:joints, :joints], G[:joints, joints:], G[joints:, joints:]
-        cross = -2 * A - B.T
-        G = jnp.block([[4 * A + 2 * (B + B.T) + C, cross], [cross.T, A]])
-        return (jnp.concatenate([2 * g[:joints] + g[joints:], -g[:joints]]), G), smoothed
+        return back(*between), smoothed
 
-    following = jnp.concatenate([activity[1:], activity[-1:]])
-    first = before(samples[0], start)
-    _, filtered = lax.scan(forward, first, (samples, noise, following))
+    z, p = before(samples[0], start)
+    first = ahead(z, p, activity[1] * drive)
+    _, filtered = lax.scan(forward, first, (*map(paired, (samples, noise)), activity[2:].reshape(-1, 2)))
     nothing = jax.tree.map(jnp.zeros_like, first)
     _, smoothed = lax.scan(backward, nothing, filtered, reverse=True)
-    return Smoothed(*smoothed)
+    return Smoothed(*(x.reshape(-1, *x.shape[2:])[:frames] for x in smoothed))
 
 
 def smooth_each(samples: Array, noise: Array, drive: Array, activity: Array, start: Array) -> Smoothed:
