@@ -139,7 +139,7 @@ def command(quick: bool) -> dict[str, Any]:
         run = [*cli, "recover", str(clip), "-o", str(answer), "--overwrite", "--quiet"]
         presets = ("str_yang2020",) if quick else ("str_yang2020", "robust")
         found: dict[str, list[float]] = {}
-        for _ in range(1 if quick else 3):
+        for _ in range(1 if quick else 6):
             for name, code in simple.items():
                 found.setdefault(name, []).append(_process([sys.executable, "-c", code], environment))
             for preset in presets:
