@@ -93,8 +93,8 @@ def restore(
     poses: Poses | None,
     max_steps: int,
     seconds: dict[str, float],
-    workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
+    workers: int,
+    progress: Callable[[int, int], None] | None,
 ) -> Restored:
     """Steps 2 to 7, for a clip whose joints are all observed somewhere.
 
@@ -162,7 +162,11 @@ def _in_windows(clip, spans, stored, body, told, max_steps, seconds, workers, pr
     found, covariances, probabilities, drives, levels, solutions = [], [], [], [], [], []
 
     def solution_of(span):
-        return _solve(clip, span, stored, body, told[span], max_steps, seconds)
+        with jax.enable_x64(True):  # a thread has a setting of its own
+            problem, origin = clip.problem(span, stored, np.dtype("float64"))
+            drive = body.drive(clip.merged[span], clip.merged_weights[span] > 0)
+            solver = body.smoother(told[span], stored, drive, tolerance=0.02)
+            return run(solve, {"solver": solver, "problem": problem}, {"max_steps": max_steps}, seconds), origin
 
     for span, (solution, origin) in zip(spans, windows.solved(solution_of, spans, workers, progress), strict=True):
         size, state = span.stop - span.start, solution.state
@@ -181,15 +185,6 @@ def _in_windows(clip, spans, stored, body, told, max_steps, seconds, workers, pr
         root = np.sqrt(w)
         covariance[span] += root[:, :, None] * root[:, None] * covariances.pop(0)
     return Estimate(clip.merged, clip.merged_weights, positions, covariance, intact, drive, noise), solutions
-
-
-def _solve(clip, span, stored, body, told, max_steps, seconds):
-    """The solution of one window, and its origin."""
-    with jax.enable_x64(True):  # a thread has a setting of its own
-        problem, origin = clip.problem(span, stored, np.dtype("float64"))
-        drive = body.drive(clip.merged[span], clip.merged_weights[span] > 0)
-        solver = body.smoother(told, stored, drive, tolerance=0.02)
-        return run(solve, {"solver": solver, "problem": problem}, {"max_steps": max_steps}, seconds), origin
 
 
 def _predicted(positions, kept, gaps, edges, poses):

@@ -113,8 +113,8 @@ def smooth(
 ) -> Smoothed:
     """Smooth samples of variance `noise` under the drive covariance Q and activity a, for each axis alike.
 
-    `start`: variance of the position before the first frame, around the first sample. A missing sample is one of a
-    variance like `start`: it says nothing that matters.
+    `start`: variance of the position before the first frame, around the first sample. A missing sample is one of
+    `NOTHING` times that variance.
     """
     frames, joints = noise.shape
     whole = jnp.eye(2 * joints)
@@ -175,7 +175,7 @@ def smooth(
 def smooth_each(samples: Array, noise: Array, drive: Array, activity: Array, start: Array) -> Smoothed:
     """`smooth` for a diagonal Q, in which joints know nothing of each other.
 
-    The same recursions with numbers for blocks: P = (A, B; B, C) and G = (D, E; E, F) of each joint.
+    The recursions frame by frame, with numbers for blocks: P = (A, B; B, C) and G = (D, E; E, F) of each joint.
     """
     q = jnp.diag(drive)
     zero = jnp.zeros_like(q)
