@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 import logging
-import math
 import os
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator
+from contextlib import contextmanager, nullcontext
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import jax
 import numpy as np
+from jax.experimental.compilation_cache import compilation_cache
 
 from motionrecover import kept
 
 _log = logging.getLogger("motionrecover")
 _lock, _counting = threading.Lock(), threading.Lock()
 _folder: Path | None = None
-_LEAST = "jax_persistent_cache_min_compile_time_secs"
 
 OPTIONS: dict[str, bool | int] = {
     "xla_cpu_use_fusion_emitters": False,
@@ -62,7 +62,7 @@ def keep_in(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     _folder = folder
     jax.config.update("jax_compilation_cache_dir", str(folder))
-    jax.config.update(_LEAST, 0.1)
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
 
 
 def user_folder() -> Path:
@@ -106,7 +106,6 @@ def _compile(function, structure, shapes, static):
         return found
     sizes = sorted({"x".join(map(str, shape)) for shape, _ in shapes if len(shape) > 1})
     line = f"compiling {function.__name__} for arrays of {', '.join(sizes)}: once for clips of about this length"
-    least = getattr(jax.config, _LEAST)
     timer = threading.Timer(SLOW, _log.info, [line])
     timer.start()
     returned = []
@@ -118,14 +117,10 @@ def _compile(function, structure, shapes, static):
 
     try:
         lowered = jax.jit(flat).lower([jax.ShapeDtypeStruct(*shape) for shape in shapes])
-        if file:
-            # What comes out of JAX's cache cannot be kept again: it would lose its functions (jax 0.10).
-            jax.config.update(_LEAST, math.inf)
-        program = _compiled(lowered)
+        with _past_the_cache() if file else nullcontext():
+            program = _compiled(lowered)
     finally:
         timer.cancel()
-        if file:
-            jax.config.update(_LEAST, least)
     needed, there = _needed(program), _memory()
     if needed > there:
         raise MemoryError(
@@ -135,6 +130,21 @@ def _compile(function, structure, shapes, static):
     if file:
         kept.save(file, program, returned[0])
     return program, returned[0]
+
+
+@contextmanager
+def _past_the_cache() -> Generator[None]:
+    """Nothing is written to JAX's cache or read from it: what comes out of it cannot be kept again, as it has lost its
+    functions (jax 0.10), and calling it in another process fails."""
+    switch = "jax_enable_compilation_cache"
+    before = getattr(jax.config, switch)
+    jax.config.update(switch, False)
+    compilation_cache.reset_cache()  # or JAX does not look at the switch again
+    try:
+        yield
+    finally:
+        jax.config.update(switch, before)
+        compilation_cache.reset_cache()
 
 
 def _file(function, structure, shapes, static) -> Path | None:

@@ -109,6 +109,23 @@ def test_other_code_values_and_processors_have_other_files(folder, monkeypatch):
     assert len(list(folder.glob("*.program"))) == 2 + len(kept._surroundings())
 
 
+def test_what_is_kept_was_compiled_and_not_taken_from_the_cache_of_jax(folder, monkeypatch):
+    """Which would keep a program without its functions; an older version left such a cache in the same folder."""
+    keep_in_ours(folder)
+    call()
+    (kept_first,) = (file.stat().st_size for file in folder.glob("*.program"))
+    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0)
+    with monkeypatch.context() as before:
+        before.setattr(programs, "_file", lambda *_: None)
+        call()
+    assert list(folder.glob("*-cache"))
+    for file in folder.glob("*.program"):
+        file.unlink()
+    call()
+    (kept_again,) = (file.stat().st_size for file in folder.glob("*.program"))
+    assert kept_again == kept_first
+
+
 def test_a_process_of_its_own_takes_a_kept_program(tmp_path):
     """Where nothing was lowered yet, LAPACK too."""
     clip = tmp_path / "clip.npz"
