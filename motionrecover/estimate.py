@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
+import jax
 import numpy as np
 
 from motionrecover.evidence.bone_errors import drift, slack
 from motionrecover.evidence.bone_lengths import BoneLengths
 from motionrecover.isometry.objective import Edges
 from motionrecover.isometry.projection import project
-from motionrecover.programs import run
+from motionrecover.programs import prepare, run
 from motionrecover.runs import run_lengths
 from motionrecover.skeleton import bone_lengths
 from motionrecover.solver import Smoother
@@ -133,6 +134,18 @@ def hold(
         kept = found.kept & (np.linalg.norm(positions - found.merged, axis=-1) < Smoother.FLOOR * scale)
         intact = np.where(kept, intact, np.minimum(intact, INTACT))
     return replace(found, positions=positions, intact=intact), left
+
+
+def prepare_projection(joints: int, edges: Edges, block: int) -> None:
+    """Begin to compile the program of `project_blocks`, while the smoother's is made."""
+    shapes = {
+        "positions": (block, joints, 3),
+        "covariance": (block, joints, joints),
+        "bone_lengths": (len(edges),),
+        "slack": (len(edges),),
+    }
+    arrays = {name: jax.ShapeDtypeStruct(shape, np.dtype("float64")) for name, shape in shapes.items()}
+    prepare(project, arrays, {"edges": edges})
 
 
 def project_blocks(

@@ -8,7 +8,8 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Generator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -20,8 +21,9 @@ from jax.experimental.compilation_cache import compilation_cache
 from motionrecover import kept
 
 _log = logging.getLogger("motionrecover")
-_lock, _counting = threading.Lock(), threading.Lock()
+_finding, _counting, _switching = threading.Lock(), threading.Lock(), threading.Lock()
 _folder: Path | None = None
+_CACHE, _past, _before = "jax_enable_compilation_cache", 0, True
 
 OPTIONS: dict[str, bool | int] = {
     "xla_cpu_use_fusion_emitters": False,
@@ -70,36 +72,83 @@ def user_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "motionrecover"
 
 
-def made() -> int:
-    """Programs that this process has compiled, or taken from where they are kept."""
-    return _compile.cache_info().misses
+@dataclass
+class _Place:
+    """Of a program that is there or will be: the program, from a list of leaves to another, and their structure."""
 
-
-def run(function: Callable, arrays: dict[str, Any], static: dict[str, Any], seconds: dict[str, float]) -> Any:
-    """`function` of named arrays (any pytrees) and of static values, compiled for their shapes; the answer in NumPy.
-
-    The time of compiling and running is added to `seconds`. To be called under `jax.enable_x64`.
-
-    Raises `MemoryError` for a program that needs more memory than the device has.
-    """
-    leaves, structure = jax.tree.flatten(arrays)
-    leaves = [leaf if isinstance(leaf, jax.Array) else np.asarray(leaf) for leaf in leaves]
-    start = time.perf_counter()
-    with _lock:
-        known = made()
-        shapes = tuple((leaf.shape, leaf.dtype) for leaf in leaves)
-        program, returned = _compile(function, structure, shapes, tuple(static.items()))
-        compiled = time.perf_counter()
-        if made() > known:
-            seconds["compile"] += compiled - start
-    found = jax.device_get(program(leaves))
-    with _counting:
-        seconds["run"] += time.perf_counter() - compiled
-    return jax.tree.unflatten(returned, found)
+    lock: threading.Lock = field(default_factory=threading.Lock)
+    """Held while the program is made: others wait for this one, and not for all."""
+    made: tuple[Callable, Any] | None = None
 
 
 @lru_cache(maxsize=256)
-def _compile(function, structure, shapes, static):
+def _place(function, structure, shapes, static) -> _Place:
+    return _Place()
+
+
+def made() -> int:
+    """Programs that this process has compiled, or taken from where they are kept."""
+    return _place.cache_info().misses
+
+
+def run(
+    function: Callable,
+    arrays: dict[str, Any],
+    static: dict[str, Any],
+    seconds: dict[str, float],
+    meanwhile: Callable[[], None] = lambda: None,
+) -> Any:
+    """`function` of named arrays (any pytrees) and of static values, compiled for their shapes; the answer in NumPy.
+
+    The time of waiting for the program and of running it is added to `seconds`. To be called under `jax.enable_x64`.
+    `meanwhile` is called where the program has to be compiled, when that begins: it may `prepare` others.
+
+    Raises `MemoryError` for a program that needs more memory than the device has.
+    """
+    leaves, key = _key(function, arrays, static)
+    start = time.perf_counter()
+    (program, returned), waited = _program(key, meanwhile)
+    ready = time.perf_counter()
+    found = jax.device_get(program(leaves))
+    with _counting:
+        seconds["compile"] += (ready - start) * waited
+        seconds["run"] += time.perf_counter() - ready
+    return jax.tree.unflatten(returned, found)
+
+
+def prepare(function: Callable, shapes: dict[str, Any], static: dict[str, Any]) -> None:
+    """Begin to compile, in a thread, what `run` will be asked for: `shapes` has `jax.ShapeDtypeStruct`s for arrays.
+
+    Programs compile side by side on several processors. What goes wrong here, goes wrong in `run` again.
+    """
+    _, key = _key(function, shapes, static)
+    wide = jax.config.jax_enable_x64  # pyright: ignore[reportAttributeAccessIssue]
+
+    def make() -> None:
+        with suppress(Exception), jax.enable_x64(wide):
+            _program(key)
+
+    threading.Thread(target=make).start()
+
+
+def _key(function, arrays, static):
+    """The arrays' leaves, and what the program for them is found by."""
+    leaves, structure = jax.tree.flatten(arrays)
+    leaves = [leaf if isinstance(leaf, (jax.Array, jax.ShapeDtypeStruct)) else np.asarray(leaf) for leaf in leaves]
+    return leaves, (function, structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves), tuple(static.items()))
+
+
+def _program(key, meanwhile=lambda: None):
+    """The program and the structure of its answer; and whether it had to be waited for."""
+    with _finding:
+        place = _place(*key)
+    with place.lock:
+        waited = place.made is None
+        place.made = place.made or _compile(*key, meanwhile=meanwhile)
+        return place.made, waited
+
+
+def _compile(function, structure, shapes, static, meanwhile):
     """The program from a list of leaves of this structure and these shapes to another, and the structure of that."""
     file = _file(function, structure, shapes, static)
     if file and (found := kept.load(file)):
@@ -117,6 +166,7 @@ def _compile(function, structure, shapes, static):
 
     try:
         lowered = jax.jit(flat).lower([jax.ShapeDtypeStruct(*shape) for shape in shapes])
+        meanwhile()
         with _past_the_cache() if file else nullcontext():
             program = _compiled(lowered)
     finally:
@@ -135,16 +185,28 @@ def _compile(function, structure, shapes, static):
 @contextmanager
 def _past_the_cache() -> Generator[None]:
     """Nothing is written to JAX's cache or read from it: what comes out of it cannot be kept again, as it has lost its
-    functions (jax 0.10), and calling it in another process fails."""
-    switch = "jax_enable_compilation_cache"
-    before = getattr(jax.config, switch)
-    jax.config.update(switch, False)
-    compilation_cache.reset_cache()  # or JAX does not look at the switch again
+    functions (jax 0.10), and calling it in another process fails.
+
+    JAX knows one switch for all threads: the first of several that compile turns it off, the last turns it back.
+    """
+    global _past, _before
+    with _switching:
+        if _past == 0:
+            _before = getattr(jax.config, _CACHE)
+            _switch(False)
+        _past += 1
     try:
         yield
     finally:
-        jax.config.update(switch, before)
-        compilation_cache.reset_cache()
+        with _switching:
+            _past -= 1
+            if _past == 0:
+                _switch(_before)
+
+
+def _switch(on: bool) -> None:
+    jax.config.update(_CACHE, on)
+    compilation_cache.reset_cache()  # or JAX does not look at the switch again
 
 
 def _file(function, structure, shapes, static) -> Path | None:

@@ -32,7 +32,7 @@ import numpy as np
 
 from motionrecover import windows
 from motionrecover.body import Body
-from motionrecover.estimate import Estimate, fill_gaps, hold
+from motionrecover.estimate import Estimate, fill_gaps, hold, prepare_projection
 from motionrecover.evidence import regression
 from motionrecover.evidence.bone_errors import smoothed_lengths
 from motionrecover.evidence.bone_lengths import BoneLengths, estimate_bone_lengths, scale_about, symmetric
@@ -161,12 +161,15 @@ def _in_windows(clip, spans, stored, body, told, max_steps, seconds, workers, pr
     """The windows' estimates blended, and their solutions without covariance."""
     found, covariances, probabilities, drives, levels, solutions = [], [], [], [], [], []
 
+    meanwhile = partial(prepare_projection, clip.merged.shape[1], clip.edges, stored)
+
     def solution_of(span):
         with jax.enable_x64(True):  # a thread has a setting of its own
             problem, origin = clip.problem(span, stored, np.dtype("float64"))
             drive = body.drive(clip.merged[span], clip.merged_weights[span] > 0)
             solver = body.smoother(told[span], stored, drive, tolerance=0.02)
-            return run(solve, {"solver": solver, "problem": problem}, {"max_steps": max_steps}, seconds), origin
+            arrays, static = {"solver": solver, "problem": problem}, {"max_steps": max_steps}
+            return run(solve, arrays, static, seconds, meanwhile), origin
 
     for span, (solution, origin) in zip(spans, windows.solved(solution_of, spans, workers, progress), strict=True):
         size, state = span.stop - span.start, solution.state

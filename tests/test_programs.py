@@ -31,7 +31,7 @@ def folder(tmp_path, monkeypatch):
     for name, value in before.items():
         jax.config.update(name, value)
     compilation_cache.reset_cache()
-    programs._compile.cache_clear()
+    programs._place.cache_clear()
 
 
 def keep_in_ours(folder):
@@ -50,7 +50,7 @@ WAYS = pytest.mark.parametrize("keep", [keep_in_ours, keep_in_the_users])
 
 
 def call(factor=3.0):
-    programs._compile.cache_clear()
+    programs._place.cache_clear()
     jax.clear_caches()
     x = np.arange(6.0).reshape(2, 3)
     answer = programs.run(_twice, {"x": x}, {"factor": factor}, {"compile": 0.0, "run": 0.0})
@@ -145,14 +145,14 @@ def test_a_process_of_its_own_takes_a_kept_program(tmp_path):
 def test_what_takes_long_is_named(monkeypatch, caplog):
     caplog.set_level("INFO", "motionrecover")
     monkeypatch.setattr(programs, "SLOW", 0.0)
-    programs._compile.cache_clear()
+    programs._place.cache_clear()
     programs.run(_twice, {"x": np.zeros((5, 4))}, {"factor": 2.0}, {"compile": 0.0, "run": 0.0})
     assert "compiling _twice for arrays of 5x4" in caplog.text
 
 
 def test_what_does_not_fit_into_memory_is_refused_with_its_size(monkeypatch, refused):
     monkeypatch.setattr(programs, "_memory", lambda: 1000)
-    programs._compile.cache_clear()
+    programs._place.cache_clear()
     arrays, seconds = {"x": np.zeros((500, 10))}, {"compile": 0.0, "run": 0.0}
     refused(
         lambda: programs.run(_twice, arrays, {"factor": 2.0}, seconds),

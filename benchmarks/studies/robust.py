@@ -90,7 +90,7 @@ def study(chosen: list[str], count: int) -> dict[str, dict[str, float]]:
     table = {}
     for name in chosen:
         # Constants are part of compiled programs.
-        programs._compile.cache_clear()
+        programs._place.cache_clear()
         jax.clear_caches()
         with ExitStack() as stack:
             for owner, attribute, value in VARIANTS[name]:

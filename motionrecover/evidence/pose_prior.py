@@ -21,6 +21,7 @@ Nothing is in metres: the answer turns, moves and scales with the clip.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +35,9 @@ mean of normal log lengths to 4.2 % at best, since bodies are fewer than bones."
 FRAMES = 200
 LENGTH = 2.0
 """In rms of the input."""
+
+Blocks = tuple[np.ndarray, np.ndarray]
+"""Sets of samples: their indices (block, sample), and which of these there are, as some blocks are shorter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,20 +158,32 @@ def mean_from_poses(
     inverse = root.T @ root
     spread = np.maximum(2 + squares[learnt:] - ((asked @ root.T) ** 2).sum(1), 0) + noise
     people = np.maximum(bodies, -1 - bodies)
-    blocks = [np.flatnonzero(people == person) for person in np.unique(people)]
-    left_out = [leave_out(inverse, coefficients, block) for block in blocks]
-    amplitude = np.concatenate([(r**2).sum(1) / (3 * c) for r, c in left_out]).mean()
+    blocks = blocks_of([np.flatnonzero(people == person) for person in np.unique(people)])
+    residuals, variances = leave_out(inverse, coefficients, blocks)
+    amplitude = ((residuals**2).sum(2) / (3 * variances))[blocks[1]].mean()
     return positions, amplitude * spread
 
 
-def leave_out(inverse: np.ndarray, coefficients: np.ndarray, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Residuals (block, 3) and variances (block,) of the samples in `block` when they are not learnt from.
+def leave_out(inverse: np.ndarray, coefficients: np.ndarray, blocks: Blocks) -> tuple[np.ndarray, np.ndarray]:
+    """Residuals (block, sample, 3) and variances (block, sample) of the samples in each block when that is not learnt
+    from; 0 and 1 where a block is shorter.
 
     `inverse` is K^-1 with the noise in K, `coefficients` K^-1 y. The block form of the leave-one-out formulas
     (Rasmussen & Williams 2006, Eqs. 5.10-5.12).
     """
-    covariance = np.linalg.inv(inverse[np.ix_(block, block)])
-    return covariance @ coefficients[block], np.diag(covariance)
+    at, there = blocks
+    pairs = there[:, :, None] & there[:, None]
+    covariance = np.linalg.inv(np.where(pairs, inverse[at[:, :, None], at[:, None]], np.eye(at.shape[1])))
+    return covariance @ np.where(there[..., None], coefficients[at], 0), np.einsum("bss->bs", covariance)
+
+
+def blocks_of(indices: Sequence[np.ndarray]) -> Blocks:
+    """Blocks of these samples each."""
+    size = np.array([len(part) for part in indices])
+    there = np.arange(size.max(initial=0)) < size[:, None]
+    at = np.zeros(there.shape, int)
+    at[there] = np.concatenate([*indices, np.zeros(0, int)])
+    return at, there
 
 
 def _spanning_tree(cost: np.ndarray) -> list[tuple[int, int]]:

@@ -34,7 +34,7 @@ from typing import NamedTuple
 import numpy as np
 
 from motionrecover.evidence.local_shape import inputs, rigid_frames
-from motionrecover.evidence.pose_prior import leave_out, mean_from_poses, present
+from motionrecover.evidence.pose_prior import Blocks, blocks_of, leave_out, mean_from_poses, present
 from motionrecover.runs import frames_away, runs_of
 
 # Chosen on 16 clips of the CMU database with two draws of gap3x240 and gap3x60 at 120 Hz and gap3x15 at 30 Hz, mean
@@ -203,7 +203,8 @@ def _regress(
     from scipy.linalg import solve_triangular  # a fifth of a second to import
 
     learnt = len(target)
-    blocks, hidden = _blocks(times[:learnt], gap)
+    (at, there), hidden = _blocks(times[:learnt], gap)
+    sizes = there.sum(1)
     late = np.abs(times[:, None] - times[:learnt])
     in_time = {gaps: _matern(late / (gaps * gap)) for gaps in {kernel.gaps for kernel in kernels}}
     errors, predicted, variances, residuals, expected = [], [], [], [], []
@@ -233,21 +234,19 @@ def _regress(
                 mean = local.mean(0)
                 local -= mean
                 coefficients = inverse @ local
-                left_out = [leave_out(inverse, coefficients, block) for block in blocks]
-                if left_out:
-                    error = np.mean([np.sqrt((r**2).sum(1).mean()) for r, _ in left_out])
-                    amplitude = np.mean([((r**2).sum(1) / (3 * c)).mean() for r, c in left_out])
-                    turned = [
-                        np.einsum("tj,tij->ti", r, rotations[b]) for (r, _), b in zip(left_out, blocks, strict=True)
-                    ]
-                    residuals.append(np.concatenate(turned))
-                    expected.append(amplitude * np.concatenate([c for _, c in left_out]))
+                if len(sizes):
+                    residual, doubt = leave_out(inverse, coefficients, (at, there))
+                    square = (residual**2).sum(2)
+                    error = np.sqrt(square.sum(1) / sizes).mean()
+                    amplitude = ((square / (3 * doubt)).sum(1) / sizes).mean()
+                    residuals.append(np.einsum("tj,tij->ti", residual[there], rotations[at[there]]))
+                    expected.append(amplitude * doubt[there])
                 else:
                     error, amplitude = np.sqrt((local**2).sum(1).mean()), (local**2).mean()
                 errors.append(error)
                 variances.append(amplitude * spread)
-                there = asked @ coefficients + mean
-                predicted.append(np.einsum("tj,tij->ti", there, rotations[learnt:]) + offset[learnt:])
+                local = asked @ coefficients + mean
+                predicted.append(np.einsum("tj,tij->ti", local, rotations[learnt:]) + offset[learnt:])
 
     tiny = np.finfo(np.float64).tiny
     # An error of exactly 0, of a joint that stands still, would leave no weight for the others.
@@ -313,10 +312,10 @@ def _thin(frames: np.ndarray, most: int) -> np.ndarray:
     return frames if len(frames) <= most else frames[np.linspace(0, len(frames) - 1, most).round().astype(int)]
 
 
-def _blocks(times: np.ndarray, gap: int) -> tuple[list[np.ndarray], float]:
-    """Indices into times (train,) of the blocks to hide, and how long those are: the gap, or half of the known span."""
+def _blocks(times: np.ndarray, gap: int) -> tuple[Blocks, float]:
+    """The blocks of times (train,) to hide, and how long those are: the gap, or half of the known span."""
     span = times[-1] - times[0]
     hidden = min(float(gap), span / 2)
     starts = times[0] + np.linspace(0, span - hidden, BLOCKS)
     blocks = [np.flatnonzero((times >= start - 1e-6) & (times <= start + hidden + 1e-6)) for start in starts]
-    return [block for block in blocks if 0 < len(block) <= 0.8 * len(times)], hidden
+    return blocks_of([block for block in blocks if 0 < len(block) <= 0.8 * len(times)]), hidden

@@ -6,7 +6,7 @@ from helpers import TOLERANCE
 
 from motionrecover import Skeleton, corrupt, synthesize
 from motionrecover.evidence import regression
-from motionrecover.evidence.pose_prior import leave_out
+from motionrecover.evidence.pose_prior import blocks_of, leave_out
 from motionrecover.evidence.regression import LEAST, bone_distance, predict_missing
 
 MOTION = synthesize(2.5, 120, seed=3)
@@ -122,13 +122,16 @@ def test_left_out_blocks_are_those_of_a_fit_without_them():
     rng = np.random.default_rng(0)
     inputs, targets = rng.normal(size=(30, 4)), rng.normal(size=(30, 3))
     K = inputs @ inputs.T + 1 + 0.01 * np.eye(30)
-    block, rest = np.arange(8, 15), np.r_[0:8, 15:30]
-    inverse = np.linalg.inv(K)
-    residuals, variances = leave_out(inverse, inverse @ targets, block)
-    gain = np.linalg.solve(K[np.ix_(rest, rest)], K[np.ix_(rest, block)]).T
-    covariance = K[np.ix_(block, block)] - gain @ K[np.ix_(rest, block)]
-    np.testing.assert_allclose(residuals, targets[block] - gain @ targets[rest], atol=TOLERANCE["linear solve"])
-    np.testing.assert_allclose(variances, np.diag(covariance), rtol=TOLERANCE["linear solve"])
+    inverse, blocks = np.linalg.inv(K), [np.arange(8, 15), np.arange(3)]
+    left_out = leave_out(inverse, inverse @ targets, blocks_of(blocks))
+    for block, residuals, variances in zip(blocks, *left_out, strict=True):
+        rest = np.setdiff1d(np.arange(30), block)
+        gain = np.linalg.solve(K[np.ix_(rest, rest)], K[np.ix_(rest, block)]).T
+        covariance = K[np.ix_(block, block)] - gain @ K[np.ix_(rest, block)]
+        found, expected = residuals[: len(block)], targets[block] - gain @ targets[rest]
+        np.testing.assert_allclose(found, expected, atol=TOLERANCE["linear solve"])
+        np.testing.assert_allclose(variances[: len(block)], np.diag(covariance), rtol=TOLERANCE["linear solve"])
+        assert not residuals[len(block) :].any()
 
 
 @pytest.mark.parametrize(("fps", "protocol"), [(120, "gap3x60"), (30, "gap3x15"), (30, "gap6x40")])
