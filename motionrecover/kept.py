@@ -13,6 +13,7 @@ import pickle
 import platform
 import warnings
 from collections.abc import Callable, Hashable
+from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -55,15 +56,25 @@ def load(file: Path) -> tuple[Callable, Any] | None:
     if hashlib.sha256(stored).digest() != content[:32]:
         warnings.warn(f"{file} in the cache is damaged: it is compiled anew", stacklevel=1)
         return None
-    # JAX finds LAPACK when it first lowers what calls it; a binary that calls it before that crashes.
-    jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), "float32"))
     binary, count, answer = pickle.loads(stored)
     returned = jax.tree.structure(answer)
     arguments = jax.tree.structure((([0] * count,), {}))
-    program = serialize_executable.deserialize_and_load(
-        binary, arguments, jax.tree.structure([0] * returned.num_leaves), execution_devices=jax.devices()[:1]
-    )
+    with ThreadPoolExecutor(1) as pool:
+        lapack = pool.submit(_find_lapack)
+        program = serialize_executable.deserialize_and_load(
+            binary, arguments, jax.tree.structure([0] * returned.num_leaves), execution_devices=jax.devices()[:1]
+        )
+        lapack.result()
     return program, returned
+
+
+@cache
+def _find_lapack() -> None:
+    """JAX finds LAPACK, in SciPy, when it first lowers what calls it; a binary that calls it before that crashes.
+
+    Importing SciPy takes 0.1 s, and so does linking a binary, which does not need Python.
+    """
+    jax.jit(jax.lax.linalg.cholesky).lower(jax.ShapeDtypeStruct((1, 1), "float32"))
 
 
 @cache

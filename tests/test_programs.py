@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import jax
@@ -124,6 +125,45 @@ def test_what_is_kept_was_compiled_and_not_taken_from_the_cache_of_jax(folder, m
     call()
     (kept_again,) = (file.stat().st_size for file in folder.glob("*.program"))
     assert kept_again == kept_first
+
+
+def test_programs_are_made_side_by_side_each_once(folder, monkeypatch):
+    keep_in_ours(folder)
+    programs._place.cache_clear()
+    compiled, both = [], threading.Barrier(2, timeout=60)
+    compiler = programs._compiled
+
+    def together(lowered):
+        both.wait()
+        compiled.append(lowered)
+        return compiler(lowered)
+
+    monkeypatch.setattr(programs, "_compiled", together)
+    shapes = {"x": jax.ShapeDtypeStruct((4, 3), np.dtype("float32"))}
+    called = []
+
+    def meanwhile():
+        called.append(True)
+        programs.prepare(_twice, shapes, {"factor": 3.0})
+
+    seconds = {"compile": 0.0, "run": 0.0}
+    small, large = np.ones((2, 3), np.float32), np.ones((4, 3), np.float32)
+    for _ in range(2):
+        answer = programs.run(_twice, {"x": small}, {"factor": 3.0}, seconds, meanwhile)
+        np.testing.assert_array_equal(answer.positions, 6 * small)
+        np.testing.assert_array_equal(programs.run(_twice, {"x": large}, {"factor": 3.0}, seconds).positions, 6 * large)
+    assert len(compiled) == len(list(folder.glob("*.program"))) == 2
+    assert len(called) == 1
+    assert jax.config.jax_enable_compilation_cache
+    assert seconds["compile"] > 0
+
+
+def test_what_fails_while_it_is_prepared_fails_where_it_is_run(monkeypatch):
+    programs._place.cache_clear()
+    monkeypatch.setattr(programs, "_compiled", lambda _: 1 / 0)
+    programs.prepare(_twice, {"x": jax.ShapeDtypeStruct((7, 3), np.dtype("float32"))}, {"factor": 3.0})
+    with pytest.raises(ZeroDivisionError):
+        programs.run(_twice, {"x": np.ones((7, 3), np.float32)}, {"factor": 3.0}, {"compile": 0.0, "run": 0.0})
 
 
 def test_a_process_of_its_own_takes_a_kept_program(tmp_path):

@@ -1,5 +1,8 @@
 """BLAS has one thread while somebody asks for that, and as many as before afterwards; work side by side keeps order."""
 
+import os
+import subprocess
+import sys
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +15,7 @@ from helpers import clip, hit
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from motionrecover import PRESETS, Motion, Skeleton, recover, recover_many
-from motionrecover.threads import in_order, one_blas_thread
+from motionrecover.threads import BLAS_THREADS, in_order, one_blas_thread
 
 CHAIN = Skeleton("abc", [(0, 1), (1, 2)])
 
@@ -86,3 +89,25 @@ def test_windows_side_by_side_give_the_answer_of_one_after_another(name):
 
 def test_no_workers_are_refused(refused):
     refused(lambda: recover(clip(CHAIN, 30, 0), CHAIN, workers=0), "0 workers", error=ValueError)
+
+
+@pytest.mark.parametrize("asked", ["1", "2"])
+def test_scipy_comes_with_one_thread_or_is_told(asked):
+    """What the environment says when it is loaded counts; where that is 1, it is not loaded to be told."""
+    code = """
+import sys
+from threadpoolctl import threadpool_info
+from motionrecover.threads import one_blas_thread
+with one_blas_thread():
+    print("scipy" in sys.modules)
+    import scipy.linalg
+    print({each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"})
+"""
+    found = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, BLAS_THREADS: asked},
+        check=True,
+        capture_output=True,
+        text=True,
+    )
+    assert found.stdout.splitlines() == [str(asked != "1"), "{1}"]

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 import typer
 
-from motionrecover import __version__
+from motionrecover import __version__, threads
 from motionrecover.cli import batch, changing, demo, learned, looking, recovery, stream, terminal
 
 _QUICKLY = "--xla_backend_extra_options=xla_cpu_disable_loop_unrolling,xla_disable_slp_vectorizer"
@@ -66,6 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         # A process for one clip compiles longer than it computes: what these leave out saves a third of the compiling.
         os.environ.setdefault("XLA_FLAGS", _QUICKLY)
+        os.environ.setdefault(threads.BLAS_THREADS, "1")
         # With Python's own 700, the collector goes through all modules again and again while they load: 0.15 s.
         gc.set_threshold(100_000)
     with terminal.notes():
