@@ -100,18 +100,19 @@ def run(
 ) -> Any:
     """`function` of named arrays (any pytrees) and of static values, compiled for their shapes; the answer in NumPy.
 
-    The time of waiting for the program and of running it is added to `seconds`. To be called under `jax.enable_x64`.
-    `meanwhile` is called where the program has to be compiled, when that begins: it may `prepare` others.
+    The time of making the program, if no other thread does, and of running it is added to `seconds`. To be called under
+    `jax.enable_x64`. `meanwhile` is called where the program has to be compiled, when that begins: it may `prepare`
+    others.
 
     Raises `MemoryError` for a program that needs more memory than the device has.
     """
     leaves, key = _key(function, arrays, static)
     start = time.perf_counter()
-    (program, returned), waited = _program(key, meanwhile)
+    (program, returned), made_now = _program(key, meanwhile)
     ready = time.perf_counter()
     found = jax.device_get(program(leaves))
     with _counting:
-        seconds["compile"] += (ready - start) * waited
+        seconds["compile"] += (ready - start) * made_now
         seconds["run"] += time.perf_counter() - ready
     return jax.tree.unflatten(returned, found)
 
@@ -139,13 +140,13 @@ def _key(function, arrays, static):
 
 
 def _program(key, meanwhile=lambda: None):
-    """The program and the structure of its answer; and whether it had to be waited for."""
+    """The program and the structure of its answer; and whether it was made here and now."""
     with _finding:
         place = _place(*key)
     with place.lock:
-        waited = place.made is None
+        made_now = place.made is None
         place.made = place.made or _compile(*key, meanwhile=meanwhile)
-        return place.made, waited
+        return place.made, made_now
 
 
 def _compile(function, structure, shapes, static, meanwhile):
