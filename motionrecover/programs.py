@@ -96,7 +96,7 @@ def run(
     arrays: dict[str, Any],
     static: dict[str, Any],
     seconds: dict[str, float],
-    meanwhile: Callable[[], None] = lambda: None,
+    meanwhile: Callable[[], None] | None = None,
 ) -> Any:
     """`function` of named arrays (any pytrees) and of static values, compiled for their shapes; the answer in NumPy.
 
@@ -139,9 +139,9 @@ def _key(function, arrays, static):
     return leaves, (function, structure, tuple((leaf.shape, leaf.dtype) for leaf in leaves), tuple(static.items()))
 
 
-def _program(key, meanwhile=lambda: None):
+def _program(key, meanwhile=None):
     """The program and the structure of its answer; and whether it was made here and now."""
-    with _finding:
+    with _finding:  # two threads that miss at once would get a place each
         place = _place(*key)
     with place.lock:
         made_now = place.made is None
@@ -167,7 +167,8 @@ def _compile(function, structure, shapes, static, meanwhile):
 
     try:
         lowered = jax.jit(flat).lower([jax.ShapeDtypeStruct(*shape) for shape in shapes])
-        meanwhile()
+        if meanwhile:
+            meanwhile()
         with _past_the_cache() if file else nullcontext():
             program = _compiled(lowered)
     finally:

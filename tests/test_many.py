@@ -22,7 +22,8 @@ def test_each_answer_is_that_of_the_clip_alone(preset):
     clips = [motion(frames, seed) for seed, frames in enumerate((33, 41, 36, 30))]
     programs._place.cache_clear()
     outcomes = list(recover_many(clips, workers=2, preset=preset, dtype="float64"))
-    assert programs.made() <= 4
+    # Of the smoother and of the projection that it prepares: another shape there would be a program for nothing.
+    assert programs.made() <= 2
     assert [outcome.index for outcome in outcomes] == [0, 1, 2, 3]
     for one, outcome in zip(clips, outcomes, strict=True):
         alone = recover(one.positions, one.skeleton, fps=one.fps, preset=preset, dtype="float64")

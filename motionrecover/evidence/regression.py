@@ -245,8 +245,8 @@ def _regress(
                     error, amplitude = np.sqrt((local**2).sum(1).mean()), (local**2).mean()
                 errors.append(error)
                 variances.append(amplitude * spread)
-                local = asked @ coefficients + mean
-                predicted.append(np.einsum("tj,tij->ti", local, rotations[learnt:]) + offset[learnt:])
+                turned = np.einsum("tj,tij->ti", asked @ coefficients + mean, rotations[learnt:])
+                predicted.append(turned + offset[learnt:])
 
     tiny = np.finfo(np.float64).tiny
     # An error of exactly 0, of a joint that stands still, would leave no weight for the others.
