@@ -74,13 +74,18 @@ def done(process, code=0):
     return out, error
 
 
-def alive(pid):
+def proc(path):
+    """A file of /proc; empty where its process or thread has ended, be it between the opening and the reading."""
     try:
-        os.kill(int(pid), 0)
-    except ProcessLookupError:
-        return False
+        return Path("/proc", path).read_bytes()
+    except (FileNotFoundError, ProcessLookupError):
+        return b""
+
+
+def alive(pid):
+    stat = proc(f"{pid}/stat")
     # A zombie is dead; nobody waits for it where its parent is gone and the first process of a container does not.
-    return ") Z " not in Path(f"/proc/{pid}/stat").read_text()
+    return bool(stat) and b") Z " not in stat
 
 
 def within(seconds, happened):

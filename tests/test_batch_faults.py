@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from batches import CLIPS, NEEDS_PROC, alive, answers, command, done, lines, within
+from batches import CLIPS, NEEDS_PROC, alive, answers, command, done, lines, proc, within
 
 from motionrecover.batch import Processes, WorkerLost
 from motionrecover.batch.workers import ONE_THREAD
@@ -88,10 +88,9 @@ def test_closing_it_and_killing_its_process_end_the_workers(tmp_path):
 
 def children(pid):
     """Worker processes of a batch."""
-    found = []
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        found += (task / "children").read_text().split()
-    return [int(child) for child in found if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes()]
+    threads = [task.name for task in Path(f"/proc/{pid}/task").iterdir()]
+    found = [child for thread in threads for child in proc(f"{pid}/task/{thread}/children").split()]
+    return [int(child) for child in found if b"spawn_main" in proc(f"{int(child)}/cmdline")]
 
 
 @NEEDS_PROC
