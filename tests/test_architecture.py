@@ -9,6 +9,7 @@ PACKAGE = Path(__file__).parents[1] / "motionrecover"
 
 LAYERS = [
     {
+        "kernel",
         "motion",
         "skeleton",
         "standards",

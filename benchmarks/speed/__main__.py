@@ -5,7 +5,8 @@
 Runs every row, or those named (`iterations` for all that begin so), in processes of their own, writes
 `benchmarks/speed/results.json` (rows that were not run stay) and makes `docs/performance.md` of it. About half an hour;
 for figures to keep, on a machine where nothing else runs. The rows `recordings` need the CMU clips: MOTIONRECOVER_DATA,
-or ../shared/data beside the repository. `--gpu` runs the row `batch` on a GPU, at full size.
+or ../shared/data beside the repository. The row `pose2sim` runs where POSE2SIM names the Python of an environment with
+Pose2Sim. `--gpu` runs the row `batch` on a GPU, at full size.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from motionrecover.io.atomic import write_beside
 
 PACKAGES = ("jax", "numpy", "scipy", "PyWavelets", "optimistix", "lineax", "jaxopt")
 ONE_CORE = {
-    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1",
+    "XLA_FLAGS": "--xla_cpu_multi_thread_eigen=false",
     "OMP_NUM_THREADS": "1",
     "OPENBLAS_NUM_THREADS": "1",
 }
@@ -45,6 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     add("--here", action="store_true", help=argparse.SUPPRESS)  # one row in this process, printed as JSON
     asked = parser.parse_args(arguments)
     names = ["batch"] if asked.gpu else [name for name in ROWS if not asked.rows or _named(name, asked.rows)]
+    if "POSE2SIM" not in os.environ:
+        names = [name for name in names if name != "pose2sim"]
     if unknown := [word for word in asked.rows if not any(_named(name, [word]) for name in ROWS)]:
         parser.error(f"received the row {unknown[0]!r}: give some of {', '.join(ROWS)}")
     if asked.here:

@@ -163,28 +163,21 @@ def _dense_step(n, p, edges, lengths, gamma, rho):
 
 
 def _eliminated_step(n, p, edges, lengths, gamma, rho):
-    """The same step by the elimination of `isometry.tree`, a bone of all frames at a time."""
+    """The same step by the elimination of `isometry.tree`, an entry of all frames at a time."""
     from motionrecover.isometry.tree import elimination
 
-    order, pairs = elimination(tuple(map(tuple, edges.tolist())), n.shape[2])
+    pairs, updates = elimination(tuple(map(tuple, edges.tolist())), n.shape[2])
     i, j = edges.T
+    k, l, sign = np.array(pairs).T
     d = np.ascontiguousarray((n[:, :, i] - n[:, :, j]).transpose(2, 1, 0))
     dp = (p[:, :, i] - p[:, :, j]).transpose(2, 1, 0)
     square = (d * d).sum(1)
-    t = list(gamma * (2 * (d * dp).sum(1) - square - lengths[:, None] ** 2))
-    m = {(h, h): 8 * gamma * square[h] + rho for h in order}
-    m |= {(k, l): 4 * gamma * sign * (d[k] * d[l]).sum(0) for k, l, sign in pairs}
-    later = {h: [l for k, l, _ in pairs if k == h] for h in order}
-    for k in order:
-        inverse = 1 / m[k, k]
-        for place, a in enumerate(later[k]):
-            factor = m[k, a] * inverse
-            t[a] = t[a] - factor * t[k]
-            for b in later[k][place:]:
-                m[a, b] = m[a, b] - factor * m[k, b]
-    y = np.zeros_like(square)
-    for k in reversed(order):
-        y[k] = (t[k] - sum(m[k, a] * y[a] for a in later[k])) / m[k, k]
+    right = gamma * (2 * (d * dp).sum(1) - square - lengths[:, None] ** 2)
+    coupling = 4 * gamma * sign[:, None] * (d[k] * d[l]).sum(1)
+    rows = np.concatenate([8 * gamma * square + rho, right, coupling])
+    for target, x, y, pivot in updates:
+        rows[target] -= rows[x] * rows[y] / rows[pivot]
+    y = rows[len(edges) : 2 * len(edges)] / rows[: len(edges)]
     push = 2 * (d * y[:, None]).transpose(2, 1, 0)
     out = p.copy()
     np.subtract.at(out, (slice(None), slice(None), i), push)

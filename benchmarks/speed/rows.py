@@ -214,14 +214,10 @@ def robust(quick: bool) -> dict[str, Any]:
     """`robust` on 1000 frames of 24 joints beside `str_yang2020` and the peers of the suite; one core."""
     from benchmarks.suite.clips import Clip
     from benchmarks.suite.methods import PEERS
-    from motionrecover import Skeleton, corrupt, metrics, recover
-    from motionrecover.synthetic import synthesize
+    from motionrecover import metrics, recover
 
-    frames = 120 if quick else 1000
-    motion = synthesize(frames / 120, 120)
-    truth = np.asarray(motion.positions, float)[:, :24]
-    skeleton = Skeleton(motion.skeleton.names[:24], [edge for edge in motion.skeleton.edges if max(edge) < 24])
-    data = corrupt.joints(truth, 0.05, seed=0)[0]
+    truth, skeleton, data = _take(quick)
+    frames = len(truth)
     clip = Clip("made up", truth, skeleton, 120)
     calls: dict[str, Callable[[], np.ndarray]] = {
         "robust": lambda: recover(data, skeleton, fps=120).positions,
@@ -238,6 +234,71 @@ def robust(quick: bool) -> dict[str, Any]:
         "seconds": {name: _round(value) for name, value in best.items()},
         "aje": {name: round(1000 * metrics.aje(x, truth), 3) for name, x in found.items()},
     }
+
+
+def pose2sim(quick: bool) -> dict[str, Any]:
+    """`robust` beside the filters of Pose2Sim itself, in an environment of its own: `$POSE2SIM` is its Python."""
+    from motionrecover import metrics, recover
+    from motionrecover.threads import processors
+
+    truth, skeleton, data = _take(quick)
+    calls = {
+        f"robust, {n} processor{'s' * (n > 1)}": partial(recover, data, skeleton, fps=120, workers=n)
+        for n in sorted({1, processors()})
+    }
+    aje = {name: 1000 * metrics.aje(call().positions, truth) for name, call in calls.items()}
+    seconds = dict.fromkeys(calls, np.inf)
+    with tempfile.TemporaryDirectory() as folder:
+        np.save(f"{folder}/data.npy", data)
+        for _ in range(1 if quick else 3):
+            for name, call in calls.items():
+                seconds[name] = min(seconds[name], _seconds(call))
+            done = subprocess.run(
+                [os.environ["POSE2SIM"], "-c", FILTERED_BY_POSE2SIM],
+                cwd=folder,
+                env=os.environ | {"MPLBACKEND": "Agg"},
+                check=True,
+                stdout=subprocess.PIPE,
+                text=True,
+            )
+            version, *taken = done.stdout.split()
+            seconds["Pose2Sim"] = min(seconds.get("Pose2Sim", np.inf), *map(float, taken))
+        aje["Pose2Sim"] = 1000 * metrics.aje(np.load(f"{folder}/filtered.npy"), truth)
+    return {
+        "frames": len(truth),
+        "version": version,
+        "seconds": {name: _round(value) for name, value in seconds.items()},
+        "aje": {name: round(value, 3) for name, value in aje.items()},
+    }
+
+
+FILTERED_BY_POSE2SIM = """
+import time
+from importlib.metadata import version
+import numpy, pandas
+from Pose2Sim.filtering import filter1d, hampel_filter
+data = numpy.load("data.npy")
+table = pandas.DataFrame(data.reshape(len(data), -1))
+settings = {"filtering": {"butterworth": {"order": 4, "cut_off_frequency": 6}}}
+print(version("pose2sim"))
+for _ in range(2):
+    start = time.perf_counter()
+    filtered = table.apply(hampel_filter).apply(filter1d, args=[settings, "butterworth", 120])
+    print(time.perf_counter() - start)
+numpy.save("filtered.npy", filtered.to_numpy().reshape(data.shape))
+"""
+"""Both filters on every column of a table, with their default settings: `filter_all` without its files."""
+
+
+def _take(quick: bool):
+    """1000 frames of 24 joints, 5 % of the samples displaced: the truth, the skeleton and the data."""
+    from motionrecover import Skeleton, corrupt
+    from motionrecover.synthetic import synthesize
+
+    motion = synthesize((120 if quick else 1000) / 120, 120)
+    truth = np.asarray(motion.positions, float)[:, :24]
+    skeleton = Skeleton(motion.skeleton.names[:24], [edge for edge in motion.skeleton.edges if max(edge) < 24])
+    return truth, skeleton, corrupt.joints(truth, 0.05, seed=0)[0]
 
 
 def batch(quick: bool, gpu: bool = False) -> dict[str, Any]:
@@ -291,6 +352,7 @@ ROWS: dict[str, tuple[Callable[[bool], dict[str, Any]], bool]] = {
     "many": (many, False),
     **{f"recordings-{name}": (partial(recordings, name), False) for name in ("str_yang2020", "robust")},
     "robust": (robust, True),
+    "pose2sim": (pose2sim, False),
     "batch": (batch, False),
 }
 """By name: the function of whether to be quick, and whether it runs on one core."""

@@ -49,10 +49,16 @@ def jacobian_product(
 def transpose_product(
     d: Float[Array, "bone 3 frame"], r: Float[Array, "bone frame"], edges: Edges, joints: int
 ) -> Float[Array, "joint 3 frame"]:
-    """J^T r: one product with the signed incidence matrix, which no scatter or gather beats on a CPU."""
-    i, j = ends(edges)
-    incidence = np.zeros((joints, len(edges)), d.dtype)
-    incidence[i, np.arange(len(edges))] = 2
-    incidence[j, np.arange(len(edges))] = -2
-    push = (d * r[:, None]).reshape(len(edges), -1)
-    return jnp.matmul(incidence, push, precision="highest").reshape(joints, *d.shape[1:])
+    """J^T r: every joint gathers from its bones, of which some have fewer than others."""
+    bones_of: list[list[tuple[int, int]]] = [[] for _ in range(joints)]
+    for bone, (i, j) in enumerate(edges):
+        bones_of[i].append((bone, 2))
+        bones_of[j].append((bone, -2))
+    most = max(map(len, bones_of), default=0)
+    filled = [row + [(0, 0)] * (most - len(row)) for row in bones_of]
+    bone, sign = np.array(filled, np.int32).reshape(joints, most, 2).transpose(2, 1, 0)
+    push = d * r[:, None]
+    total = jnp.zeros((joints, *d.shape[1:]), d.dtype)
+    for k in range(most):
+        total += sign[k, :, None, None].astype(d.dtype) * push[bone[k]]
+    return total

@@ -12,22 +12,26 @@ costs O(bones) (times the square of the bones at a joint). The solution is exact
 It is also the accurate form in float32: a stiff bone makes the matrix of Eq. 20 ill-conditioned, by 4 gamma |d|^2 / rho
 or 1e4, but not this one, whose diagonal grows with it.
 
-All frames go in one step, as rows. Compare Golub & Van Loan, Sec. 4.3 (tridiagonal systems: a chain of bones); Rose,
-"Triangulated graphs and the elimination process", 1970 (no fill-in); Baraff, "Linear-time dynamics using Lagrange
-multipliers", SIGGRAPH 1996 (forces along a tree).
+All frames go in one step, as rows. The matrix and the right-hand side are rows as well, and elimination and back
+substitution the same update of one row by three others: a loop over a table, so the program is small whatever the tree.
+Compare Golub & Van Loan, Sec. 4.3 (tridiagonal systems: a chain of bones); Rose, "Triangulated graphs and the
+elimination process", 1970 (no fill-in); Baraff, "Linear-time dynamics using Lagrange multipliers", SIGGRAPH 1996
+(forces along a tree).
 """
 
 from functools import cache
 
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, Float
 
+from motionrecover import kernel
 from motionrecover.isometry.objective import Edges, dot, jacobian_product, transpose_product
 from motionrecover.skeleton import is_forest
 
 MOST_BONES = 8
-"""At one joint. All pairs of its bones are coupled, and the program grows with the cube of their number."""
+"""At one joint. All pairs of its bones are coupled, and the updates grow with the cube of their number."""
 
 
 def suits(edges: Edges, joints: int) -> bool:
@@ -36,11 +40,15 @@ def suits(edges: Edges, joints: int) -> bool:
 
 
 @cache
-def elimination(edges: Edges, joints: int) -> tuple[list[int], list[tuple[int, int, int]]]:
-    """The bones from the leaves to the root, and the pairs that share a joint.
+def elimination(edges: Edges, joints: int) -> tuple[list[tuple[int, int, int]], np.ndarray]:
+    """The pairs of bones that share a joint, (bone, bone, sign of their coupling), and the updates that solve.
 
-    A pair is (earlier bone, later bone, sign of their coupling). Any joint of a component may be its root. Raises
-    `ValueError` for a graph with a cycle, which has no leaf to start from.
+    Rows are numbered: the diagonal of the matrix, the right-hand side, the pairs. An update is four of them, and means
+
+        target <- target - factor * factor / divisor
+
+    Any joint of a component may be its root. Raises `ValueError` for a graph with a cycle, which has no leaf to start
+    from.
     """
     if not is_forest(edges, joints):
         raise ValueError(
@@ -62,13 +70,23 @@ def elimination(edges: Edges, joints: int) -> tuple[list[int], list[tuple[int, i
                     reached.add(other)
                     queue.append(other)
                     outward.append(bone)
-    order = outward[::-1]
+    order, bones = outward[::-1], len(edges)
+    later: dict[int, list[int]] = {k: [] for k in order}
+    row = {(k, k): k for k in order} | {(k, bones): bones + k for k in order}
     pairs = []
     for place, k in enumerate(order):
         for l in order[place + 1 :]:
             for joint in set(edges[k]) & set(edges[l]):
+                row[k, l] = row[l, k] = 2 * bones + len(pairs)
                 pairs.append((k, l, 1 if (edges[k][0] == joint) == (edges[l][0] == joint) else -1))
-    return order, pairs
+                later[k].append(l)
+    updates = []
+    for k in order:
+        for place, i in enumerate(later[k]):
+            updates += [(row[i, j], row[k, i], row[k, j], row[k, k]) for j in [*later[k][place:], bones]]
+    for k in reversed(order):
+        updates += [(row[k, bones], row[k, i], row[i, bones], row[i, i]) for i in later[k]]
+    return pairs, np.array(updates, np.int32).reshape(-1, 4)
 
 
 def solve(
@@ -85,27 +103,18 @@ def solve(
 
     Raises `ValueError` for a graph with a cycle.
     """
-    joints, _, frames = s.shape
-    order, pairs = elimination(edges, joints)
+    joints, bones = len(s), len(edges)
+    pairs, updates = elimination(edges, joints)
+    k, l, sign = np.array(pairs, np.int32).reshape(-1, 3).T
     kappa = 4 * isometry_weight
     diagonal = 2 * kappa * dot(d, d) + penalty
     right = isometry_weight * (f + jacobian_product(d, s, edges))
-    k, l, sign = np.array(pairs, np.int32).reshape(-1, 3).T
     coupling = kappa * jnp.asarray(sign, d.dtype)[:, None] * dot(d[k], d[l])
 
-    m = {(bone, bone): diagonal[bone] for bone in order}
-    m |= {(k, l): coupling[place] for place, (k, l, _) in enumerate(pairs)}
-    later = {bone: [l for k, l, _ in pairs if k == bone] for bone in order}
-    t = {bone: right[bone] for bone in order}
-    z, y = {}, {}
-    # Divisions where products with one inverse would do: XLA computes a quotient once and a product for each reader.
-    for k in order:
-        z[k], inverse = t[k] / m[k, k], 1 / m[k, k]
-        for place, i in enumerate(later[k]):
-            t[i] = t[i] - m[k, i] * z[k]
-            for j in later[k][place:]:
-                m[i, j] = m[i, j] - m[k, i] * inverse * m[k, j]
-    for k in reversed(order):
-        y[k] = (t[k] - sum(m[k, i] * y[i] for i in later[k])) / m[k, k]
-    force = jnp.stack([y[bone] for bone in range(len(edges))]) if edges else jnp.zeros((0, frames), s.dtype)
-    return transpose_product(d, force, edges, joints)
+    def update(rows, places):
+        target, x, y, divisor = (lax.dynamic_index_in_dim(rows, place, keepdims=False) for place in places)
+        return lax.dynamic_update_index_in_dim(rows, target - x * y / divisor, places[0], 0), None
+
+    rows = jnp.concatenate([diagonal, right, coupling])
+    rows, _ = lax.scan(update, rows, jnp.asarray(updates), unroll=1 if kernel.available() else len(updates) or 1)
+    return transpose_product(d, rows[bones : 2 * bones] / rows[:bones], edges, joints)

@@ -38,6 +38,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
+from motionrecover.kernel import one_kernel
+
 SPEED = 0.25
 """Standard deviation of the first step between two frames, in those of where the body is before its first frame. A
 joint unseen in the first frames is as uncertain as that many steps, and its variance in the end a small difference of
@@ -95,6 +97,12 @@ def ahead(z: Array, p: Array, drive: Float[Array, "joint joint"]) -> tuple[Array
     return jnp.concatenate([2 * now - last, now]), (p + p.T) / 2
 
 
+def _two_ahead(z, p, drives):
+    """`ahead` twice."""
+    first, second = drives
+    return ahead(*ahead(z, p, first), second)
+
+
 def back(g: Array, G: Array) -> tuple[Array, Array]:
     """g and G behind the samples of the frame before."""
     joints = len(g) // 2
@@ -102,6 +110,14 @@ def back(g: Array, G: Array) -> tuple[Array, Array]:
     A, B, C = G[:joints, :joints], G[:joints, joints:], G[joints:, joints:]
     cross = -2 * A - B.T
     return jnp.concatenate([2 * now + last, -now]), jnp.block([[4 * A + 2 * (B + B.T) + C, cross], [cross.T, A]])
+
+
+def _gone_back(g, G, inverse):
+    """G with what the samples add, exactly symmetric, and `back` from there, once and twice."""
+    G = G + inverse
+    G = (G + G.T) / 2
+    once = back(g, G)
+    return G, once, back(*once)
 
 
 def smooth(
@@ -137,7 +153,7 @@ def smooth(
         innovation = y - z
         kept = r[:, None] * inverse
         seen = y - kept @ innovation, kept @ p
-        return ahead(*ahead(*seen, a * drive), b * drive), (*carry, r, innovation, inverse)
+        return one_kernel(_two_ahead)(*seen, (a * drive, b * drive)), (*carry, r, innovation, inverse)
 
     def backward(carry, row):
         g, G = carry
@@ -148,12 +164,10 @@ def smooth(
         rest = inverse @ (r[:, None] * g - innovation)
         u, g = g - rest, rest
         # Multiplied out, this loses what long gaps know: beside exact samples, G is 1e9 times larger than V^-1 in them.
-        G = (inverse * r) @ once + inverse
-        G = (G + G.T) / 2
+        G, between, carry = one_kernel(_gone_back)(g, (inverse * r) @ once, inverse)
         known = p @ G
         last, now = slice(joints, None), slice(joints)
         covariance = [p[x, x] - known[x] @ p[:, x] for x in (last, now)]
-        between = back(g, G)
         smoothed = (
             split(z - p @ g),
             jnp.stack(covariance),
@@ -162,7 +176,7 @@ def smooth(
             jnp.stack([between[0][now], g[now]]),
             jnp.stack([between[1][now, now], G[now, now]]),
         )
-        return back(*between), smoothed
+        return carry, smoothed
 
     z, p = before(samples[0], start)
     first = ahead(z, p, activity[1] * drive)
@@ -177,7 +191,14 @@ def smooth_each(samples: Array, noise: Array, drive: Array, activity: Array, sta
 
     The recursions frame by frame, with numbers for blocks: P = (A, B; B, C) and G = (D, E; E, F) of each joint.
     """
-    q = jnp.diag(drive)
+    answer = one_kernel(_smooth_each)(samples, noise, jnp.diag(drive), activity, start)
+    mean, variance, error, error_variance, score, information = answer
+    matrix = jax.vmap(jnp.diag)
+    return Smoothed(mean, matrix(variance), error, error_variance, score, matrix(information))
+
+
+def _smooth_each(samples, noise, q, activity, start):
+    """With the diagonals for matrices."""
     zero = jnp.zeros_like(q)
 
     def forward(carry, row):
@@ -208,6 +229,4 @@ def smooth_each(samples: Array, noise: Array, drive: Array, activity: Array, sta
     first = samples[0], samples[0], zero + start, zero + start, zero + start * (1 + SPEED**2)
     _, filtered = lax.scan(forward, first, (samples, noise, following))
     nothing = jnp.zeros_like(samples[0]), jnp.zeros_like(samples[0]), zero, zero, zero
-    _, (mean, variance, error, error_variance, score, information) = lax.scan(backward, nothing, filtered, reverse=True)
-    matrix = jax.vmap(jnp.diag)
-    return Smoothed(mean, matrix(variance), error, error_variance, score, matrix(information))
+    return lax.scan(backward, nothing, filtered, reverse=True)[1]

@@ -45,8 +45,8 @@ via ADMM", 2011, Sec. 3.2). A growing penalty forces the constraints to hold wha
 hence a verdict on both residuals.
 """
 
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -55,6 +55,7 @@ from jaxtyping import Array, Float
 from motionrecover import wavelets
 from motionrecover.isometry import pcg, tree
 from motionrecover.isometry.objective import bone_vectors, residual, transpose_product
+from motionrecover.kernel import one_kernel
 from motionrecover.prox import clip, singular_value_threshold
 from motionrecover.solver.problem import Problem
 from motionrecover.solver.result import Result, Trace, Verdict
@@ -85,6 +86,19 @@ class State:
     z3: Coefficients
     penalty: Float[Array, "3"]
     wa: Coefficients
+
+
+class Split(NamedTuple):
+    """What the N-, C- and E-steps leave to the A-step and to the multipliers; None of a term that is left out."""
+
+    k1: Positions
+    e: Positions
+    k2: Positions | None
+    n: Positions | None
+    k3: Coefficients | None
+    c: Coefficients | None
+    away: Positions | None
+    """F - A."""
 
 
 @jax.tree_util.register_dataclass
@@ -159,66 +173,103 @@ class Solver:
         against |lambda w|, the largest norm that Z_1 can have at a solution, the primal residual against |D|: both are
         then free of units and of the length of the clip.
         """
-        d, w = state.d, problem.weights[:, None]
-        a, n, z1, z2, z3 = state.a, state.n, state.z1, state.z2, state.z3
-        rho1, rho2, rho3 = state.penalty
-        k2 = c = k3 = trust = away = jnp.zeros_like(rho1)
-        inner_steps = jnp.array(0)
+        rho = self._weights(state.penalty)
+        # Conjugate gradients sum along axes, and cannot be part of a kernel.
+        eliminates = not self.isometry or tree.suits(problem.edges, len(state.d))
+        split_of = one_kernel(Solver._split) if eliminates else Solver._split
+        h, split, inner_steps = split_of(self, problem, replace(state, scale=None, e=None), rho)
+        new, values = singular_value_threshold(h, 1 / rho)
+        known = replace(state, scale=None, e=None, n=None, z1=None, z2=None, z3=None)
+        multipliers, wa, rows = one_kernel(Solver._gather)(self, problem, known, split, new)
+        values = jnp.maximum(values - 1 / rho, 0)
+        info = self._told(state, {name: jnp.sum(row) for name, row in rows.items()}, values, inner_steps)
+        after = {name: x for name, x in {**multipliers, "wa": wa, "n": split.n}.items() if x is not None}
+        penalty = jnp.minimum(state.penalty * self.penalty_growth, self.penalty_max)
+        return replace(state, a=new, e=split.e, penalty=penalty, **after), info
 
-        x = d - a - z1 * (1 / rho1)
-        k1 = clip(x, self.outlier_weight * w / rho1)
+    def _weights(self, penalty):
+        """rho, and the weight of the guide term with it."""
+        rho1, rho2, rho3 = penalty
+        rho = rho1 + rho2 if self.isometry else rho1
+        rho = rho + rho3 if self.smoothness else rho
+        return rho + self.guide_weight if self.guided else rho
+
+    def _split(self, problem, state, rho):
+        """Lines 4-8, as K: what the A-step thresholds, and the three proxes."""
+        a, n = state.a, None
+        rho1, rho2, rho3 = state.penalty
+        k2 = c = k3 = away = inner_steps = None
+
+        x = state.d - a - state.z1 * (1 / rho1)
+        k1 = clip(x, self.outlier_weight * problem.weights[:, None] / rho1)
         e = x - k1
-        h, rho = rho1 * k1, rho1
+        h = rho1 * k1
         if self.isometry:
-            p = a - z2 * (1 / rho2)
-            n, inner_steps = self._bend(problem, n, p, rho2)
+            p = a - state.z2 * (1 / rho2)
+            n, inner_steps = self._bend(problem, state.n, p, rho2)
             k2 = p - n
-            h, rho = h - rho2 * k2, rho + rho2
+            h = h - rho2 * k2
         if self.smoothness:
-            x = state.wa - z3 * (1 / rho3)
+            x = state.wa - state.z3 * (1 / rho3)
             k3 = clip(x, self.smoothness_weight / rho3)
             c = x - k3
-            h, rho = h - rho3 * self._waverec(problem, k3), rho + rho3
+            h = h - rho3 * self._waverec(problem, k3)
         if self.guided and problem.guide is not None:
-            trust = problem.guide.weights[:, None] ** 2
             away = problem.guide.positions.swapaxes(0, 1) - a
-            h, rho = h + self.guide_weight * trust * away, rho + self.guide_weight
-        new, values = singular_value_threshold(a + h * (1 / rho), 1 / rho)
-        values = jnp.maximum(values - 1 / rho, 0)
+            h = h + self.guide_weight * problem.guide.weights[:, None] ** 2 * away
+        return a + h * (1 / rho), Split(k1, e, k2, n, k3, c, away), inner_steps
 
-        moved = new - a
-        change = _square(moved)
-        z1 = rho1 * (moved - k1)
-        primal, dual = _square(e - d + new), rho1**2 * change
-        isometry = smoothness = guide = jnp.zeros_like(primal)
-        wa = state.wa
+    def _gather(self, problem, state, split, new):
+        """Lines 12-14, W A, and the sums over joints that the residuals and the objective are made of."""
+        rho1, rho2, rho3 = state.penalty
+        multipliers, wa = {}, None
+        moved = new - state.a
+        multipliers["z1"] = rho1 * (moved - split.k1)
+        rows = {
+            "moved": _over_joints(moved**2),
+            "explained": _over_joints((split.e - state.d + new) ** 2),
+            "outlier": _over_joints(jnp.abs(problem.weights[:, None] * split.e)),
+        }
         if self.isometry:
-            z2 = -rho2 * (moved + k2)
-            isometry, gradient = self._linearise(problem, n)
-            primal, dual = primal + _square(n - new), dual + _square(gradient + z2)
+            multipliers["z2"] = z2 = -rho2 * (moved + split.k2)
+            f, gradient = self._linearise(problem, split.n)
+            if problem.edges:
+                rows["isometry"] = _over_joints(f**2)
+            rows["bent"] = _over_joints((split.n - new) ** 2)
+            rows["force"] = _over_joints((gradient + z2) ** 2)
         if self.smoothness:
             wa = self._wavedec(problem, new)
-            z3 = rho3 * (state.wa - wa - k3)
-            primal, dual = primal + _square(c - wa), dual + rho3**2 * change
-            smoothness = self.smoothness_weight * jnp.abs(c).sum()
-        if self.guided:
-            dual = dual + self.guide_weight**2 * _square((1 - trust) * moved)
-            guide = self.guide_weight / 2 * jnp.sum(trust * (away - moved) ** 2)
+            multipliers["z3"] = rho3 * (state.wa - wa - split.k3)
+            rows["smoothness"] = _over_joints(jnp.abs(split.c))
+            rows["smoothed"] = _over_joints((split.c - wa) ** 2)
+        if self.guided and problem.guide is not None:
+            trust = problem.guide.weights[:, None] ** 2
+            rows["pulled"] = _over_joints(((1 - trust) * moved) ** 2)
+            rows["guide"] = _over_joints(trust * (split.away - moved) ** 2)
+        return multipliers, wa, rows
 
-        info = Info(
+    def _told(self, state, sums, values, inner_steps):
+        """What a step tells, of sums over all frames."""
+        rho1, _, rho3 = state.penalty
+        zero = jnp.zeros_like(rho1)
+        primal = sums["explained"] + sums.get("bent", zero) + sums.get("smoothed", zero)
+        dual = rho1**2 * sums["moved"] + sums.get("force", zero)
+        if self.smoothness:
+            dual = dual + rho3**2 * sums["moved"]
+        if self.guided:
+            dual = dual + self.guide_weight**2 * sums["pulled"]
+        return Info(
             primal_residual=jnp.sqrt(primal) / state.scale[0],
             dual_residual=jnp.sqrt(dual) / state.scale[1],
             nuclear=values.sum(),
-            outlier=self.outlier_weight * jnp.abs(w * e).sum(),
-            isometry=isometry,
-            smoothness=smoothness,
-            guide=guide,
+            outlier=self.outlier_weight * sums["outlier"],
+            isometry=self.isometry_weight / 2 * sums.get("isometry", zero),
+            smoothness=self.smoothness_weight * sums.get("smoothness", zero),
+            guide=self.guide_weight / 2 * sums.get("guide", zero),
             rank=(values > 0).sum(),
             penalty=rho1,
-            inner_steps=inner_steps,
+            inner_steps=jnp.array(0) if inner_steps is None else inner_steps,
         )
-        penalty = jnp.minimum(state.penalty * self.penalty_growth, self.penalty_max)
-        return State(d, state.scale, new, e, n, z1, z2, z3, penalty, wa), info
 
     def check(self, problem: Problem) -> Verdict:
         """Verdict before the first step: on the input."""
@@ -252,10 +303,10 @@ class Solver:
         return d, jnp.where(jnp.arange(n.shape[-1]) < problem.frames, residual(d, problem.bone_lengths), 0)
 
     def _linearise(self, problem, n):
-        """gamma / 2 E_iso(N), and its gradient gamma J^T F."""
+        """F, and the gradient gamma J^T F."""
         d, f = self._bones(problem, n)
         gradient = self.isometry_weight * transpose_product(d, f, problem.edges, len(n))
-        return self.isometry_weight / 2 * jnp.sum(f**2), gradient
+        return f, gradient
 
     def _bend(self, problem, n, p, rho):
         """One step of Eq. 20 from N towards the prox of the isometry term at P, and the inner steps it took.
@@ -264,7 +315,7 @@ class Solver:
         """
         d, f = self._bones(problem, n)
         if tree.suits(problem.edges, len(n)):
-            return p - tree.solve(d, f, p - n, self.isometry_weight, rho, problem.edges), jnp.array(0)
+            return p - tree.solve(d, f, p - n, self.isometry_weight, rho, problem.edges), None
         # 1e-3: one Gauss-Newton step is itself inexact, and the next one starts from its remainder.
         delta, steps = pcg.solve(d, f, p - n, self.isometry_weight, rho, problem.edges, 1e-3, 3 * len(n))
         return n + delta, steps
@@ -273,3 +324,8 @@ class Solver:
 def _square(x):
     """|x|^2."""
     return jnp.sum(x * x)
+
+
+def _over_joints(x):
+    """The sum over the first axis, one after the other: sums along an axis are a library's, and no part of a kernel."""
+    return sum((x[k] for k in range(1, len(x))), x[0])
