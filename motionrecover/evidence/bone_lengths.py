@@ -33,6 +33,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -98,7 +99,13 @@ class BoneLengths:
 def estimate_bone_lengths(lengths: np.ndarray) -> BoneLengths:
     """The lengths of bones from measured ones (frame, bone), NaN where an end is missing."""
     lengths = np.asarray(lengths, np.float64)
-    x, n, count = _sorted(lengths)
+    return _estimated(lengths.tobytes(), lengths.shape)
+
+
+# The recovery of a clip asks up to three times: for its swaps, for its skeleton and for its motion.
+@lru_cache(maxsize=2)
+def _estimated(measured, shape):
+    x, n, count = _sorted(np.frombuffer(measured).reshape(shape))
     unit = _unit(x, n)
     floor = width = RESOLUTION * unit
     first, surprise, (length, spread, p, background) = _mode(x, n, unit, width, floor)
