@@ -12,7 +12,6 @@ from typing import TypeVar
 
 import jax
 from jax.custom_batching import custom_vmap
-from jax.experimental.xla_metadata import set_xla_metadata
 
 Function = TypeVar("Function", bound=Callable)
 
@@ -32,6 +31,7 @@ def one_kernel(function: Function) -> Function:
     """
     if not available():
         return function
+    from jax.experimental.xla_metadata import set_xla_metadata  # experimental: another JAX may not have it
 
     def inside(*arguments):
         with set_xla_metadata(xla_cpu_small_call=None, inlineable=None):

@@ -116,5 +116,7 @@ def solve(
         return lax.dynamic_update_index_in_dim(rows, target - x * y / divisor, places[0], 0), None
 
     rows = jnp.concatenate([diagonal, right, coupling])
-    rows, _ = lax.scan(update, rows, jnp.asarray(updates), unroll=1 if kernel.available() else len(updates) or 1)
+    # Outside a kernel, a turn of a loop costs more than what is done in it.
+    turns = 1 if kernel.available() else max(1, len(updates))
+    rows, _ = lax.scan(update, rows, jnp.asarray(updates), unroll=turns)
     return transpose_product(d, rows[bones : 2 * bones] / rows[:bones], edges, joints)
